@@ -1,0 +1,1 @@
+"""The services of the brain: memory store, evolvers, action optimizer, recorder."""

@@ -1,0 +1,1 @@
+"""The robot, its world, the scripted teacher, and the figures of a run."""
