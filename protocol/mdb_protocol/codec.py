@@ -1,0 +1,104 @@
+"""Messages to bytes and back: MessagePack, arrays as an extension type, the version in the encoding.
+
+Pure: no input or output. `decode` accepts only the type that the key carries and raises `DecodeError`
+with the path of what is wrong; it never returns a half-valid message.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import msgpack
+import msgspec
+import numpy as np
+
+from mdb_protocol.errors import DecodeError
+from mdb_protocol.messages import Message
+
+M = TypeVar("M", bound=Message)
+
+VERSION = 1
+"""Protocol version; a reader refuses any other."""
+MAX_BYTES = 16 * 2**20
+"""Largest payload that is decoded, in bytes."""
+ARRAY_EXT = 1
+"""MessagePack extension type of an array: [dtype, shape, raw little-endian bytes]."""
+DTYPES = ("<f4", "<f8", "<i8", "|u1")
+
+
+def encoding_of(message_type: type[Message]) -> str:
+    """Return the Zenoh encoding string of a message type, protocol version included."""
+    return f"application/msgpack;mdb={VERSION};{message_type.__name__}"
+
+
+def encode(message: Message) -> bytes:
+    """Return the MessagePack bytes of a message."""
+    return bytes(msgpack.packb(message, default=_to_plain))
+
+
+def decode(message_type: type[M], payload: bytes, encoding: str) -> M:
+    """Return the message in `payload`.
+
+    Raises `DecodeError` when the encoding names another type or version, or the bytes are not it.
+    """
+    if encoding != encoding_of(message_type):
+        raise DecodeError(f"encoding is {encoding!r}; expected {encoding_of(message_type)!r}")
+    if len(payload) > MAX_BYTES:
+        raise DecodeError(f"payload has {len(payload)} bytes; at most {MAX_BYTES} are accepted")
+    try:
+        plain = msgpack.unpackb(payload, ext_hook=_ext_hook, strict_map_key=True)
+        return msgspec.convert(plain, message_type, dec_hook=_dec_hook)
+    except (msgspec.ValidationError, msgpack.UnpackException, ValueError, TypeError, RecursionError) as error:
+        raise DecodeError(f"not a valid {message_type.__name__}: {error}") from error
+
+
+def to_plain(message: Message) -> dict[str, Any]:
+    """Return the message as plain dicts, lists and numbers (arrays as lists), for JSON and comparing."""
+    plain = msgspec.to_builtins(message, enc_hook=lambda value: value.tolist())
+    assert isinstance(plain, dict)
+    return plain
+
+
+def _to_plain(value: Any) -> Any:
+    if isinstance(value, Message):
+        return {field: getattr(value, field) for field in value.__struct_fields__}
+    if isinstance(value, np.ndarray):
+        array = np.ascontiguousarray(value)
+        if array.dtype.str not in DTYPES:
+            raise TypeError(f"array dtype is {array.dtype.str}; expected one of {', '.join(DTYPES)}")
+        return msgpack.ExtType(ARRAY_EXT, msgpack.packb([array.dtype.str, array.shape, array.tobytes()]))
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} cannot be sent: {value!r}")
+
+
+def _ext_hook(code: int, data: bytes) -> Any:
+    if code != ARRAY_EXT:
+        raise ValueError(f"extension type {code} is unknown; expected {ARRAY_EXT}, an array")
+    parts = msgpack.unpackb(data)
+    if not (isinstance(parts, list) and len(parts) == 3):
+        raise ValueError("an array is [dtype, shape, bytes]")
+    dtype, shape, raw = parts
+    if dtype not in DTYPES or not isinstance(raw, bytes) or not _is_shape(shape):
+        raise ValueError(f"array header {dtype!r}, {shape!r} is not one of {DTYPES} with a shape")
+    array = np.frombuffer(raw, dtype=dtype)
+    size = 1
+    for length in shape:
+        size *= length
+    if size != array.size:
+        raise ValueError(f"array of shape {shape} has {array.size} values; expected {size}")
+    return array.reshape(shape)
+
+
+def _is_shape(shape: Any) -> bool:
+    return (
+        isinstance(shape, list)
+        and 1 <= len(shape) <= 4
+        and all(isinstance(length, int) and not isinstance(length, bool) and length >= 0 for length in shape)
+    )
+
+
+def _dec_hook(wanted: type, value: Any) -> Any:
+    if wanted is np.ndarray and isinstance(value, np.ndarray):
+        return value
+    raise ValueError(f"expected an array, got {type(value).__name__}")

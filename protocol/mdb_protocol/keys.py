@@ -1,0 +1,172 @@
+"""The one table of keys: what each carries, its only writer, its delivery, what a late joiner gets.
+
+No key is spelled anywhere else. The README's table is printed from it (`mdb keys`).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+from mdb_protocol import messages as m
+from mdb_protocol.errors import MdbError
+from mdb_protocol.messages import Message
+
+ROOT = "mdb"
+PARAMETER = re.compile(r"{(\w+)}")
+NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+
+
+class Delivery(Enum):
+    """How a key's values travel."""
+
+    LATEST = "latest value: may drop, a reader keeps only the newest; a late joiner gets the last"
+    RELIABLE = "reliable: in order, none lost while connected; a late joiner gets what comes"
+    LATCHED = "latched: reliable, and a late joiner gets the last"
+    QUERY = "query: answered when asked"
+    TOKEN = "liveliness token: there while its owner lives"
+
+
+@dataclass(frozen=True)
+class Key:
+    """One row of the key table; `path` lies below `mdb/<brain>/` and may hold {parameters}."""
+
+    path: str
+    message: type[Message] | None
+    writer: str
+    delivery: Delivery
+    meaning: str
+    late_joiner: str = ""
+    repeatable: bool = True
+    """Whether a lockstep run of one seed has the same values on it every time."""
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the path's parameters, in order."""
+        return tuple(PARAMETER.findall(self.path))
+
+    def at(self, brain: str, **parameters: str) -> str:
+        """Return the full key; a parameter left out becomes `*`, which is for readers only."""
+        filled = {name: parameters.pop(name, "*") for name in self.parameters}
+        if parameters:
+            raise MdbError(f"key {self.path} has no parameter {', '.join(parameters)}")
+        for name, value in {"brain": brain, **filled}.items():
+            if value != "*" and not NAME.fullmatch(value):
+                raise MdbError(
+                    f"{name} is {value!r}; expected 1 to 64 letters, digits, '_', '.' or '-' (no '/', no '*')"
+                )
+        return f"{ROOT}/{brain}/{self.path.format(**filled)}"
+
+    def match(self, brain: str, key: str) -> dict[str, str] | None:
+        """Return the parameters in a full key of this row, or None when it is not one."""
+        pattern = PARAMETER.sub(r"(?P<\1>[A-Za-z0-9_.-]{1,64})", self.path)
+        found = re.fullmatch(f"{ROOT}/{re.escape(brain)}/{pattern}", key)
+        return found.groupdict() if found else None
+
+
+PERCEPTION = Key("perception", m.Perception, "robot", Delivery.LATEST, "what the robot senses")
+SCENE = Key("scene", m.Scene, "robot", Delivery.LATEST, "what a bystander sees: for teachers and viewers")
+ACTION = Key("action", m.Action, "action optimizer", Delivery.LATEST, "the current action")
+COMMAND = Key(
+    "teacher/{teacher}/command", m.Command, "that teacher", Delivery.RELIABLE, "a note, or silence"
+)
+FEEDBACK = Key(
+    "teacher/{teacher}/feedback", m.Feedback, "that teacher", Delivery.RELIABLE, "reward or punishment"
+)
+PHASE = Key("phase", m.Phase, "scripted teacher", Delivery.LATCHED, "the phase of the experiment")
+PAIR = Key(
+    "pair",
+    m.Pair,
+    "action optimizer",
+    Delivery.RELIABLE,
+    "an action-perception pair, sent again until it is stored",
+)
+PAIR_STORED = Key(
+    "pair/stored", m.PairStored, "memory store", Delivery.RELIABLE, "acknowledges a pair that is on disk"
+)
+MEMORY_CHANGE = Key(
+    "memory/{model}/change",
+    m.MemoryChange,
+    "memory store",
+    Delivery.RELIABLE,
+    "one insert into a model's short-term memory",
+    late_joiner="asks memory/{model}/snapshot",
+)
+MEMORY_SNAPSHOT = Key(
+    "memory/{model}/snapshot",
+    m.MemorySnapshot,
+    "memory store",
+    Delivery.QUERY,
+    "a model's whole short-term memory",
+    repeatable=False,
+)
+CURRENT_MODEL = Key(
+    "model/{model}",
+    m.CurrentModel,
+    "that evolver",
+    Delivery.LATCHED,
+    "the current model",
+    late_joiner="the last; when the evolver is dead, from memory/{model}/model",
+)
+KEPT_MODEL = Key(
+    "memory/{model}/model",
+    m.CurrentModel,
+    "memory store",
+    Delivery.QUERY,
+    "the last current model, kept on disk",
+    repeatable=False,
+)
+ITERATION = Key(
+    "iteration", m.IterationReport, "action optimizer", Delivery.RELIABLE, "what was done and foreseen"
+)
+TIMING = Key(
+    "timing", m.Timing, "action optimizer", Delivery.RELIABLE, "durations of the iteration", repeatable=False
+)
+FINISHED = Key("finished", m.Finished, "action optimizer", Delivery.LATCHED, "the experiment is over")
+STATUS = Key(
+    "status/{role}/{instance}",
+    m.Status,
+    "each service",
+    Delivery.QUERY,
+    "rates, versions, refused messages",
+    repeatable=False,
+)
+ALIVE = Key(
+    "alive/{role}/{instance}",
+    None,
+    "each service",
+    Delivery.TOKEN,
+    "declared last, so it means ready",
+    repeatable=False,
+)
+
+KEYS = (
+    PERCEPTION, SCENE, ACTION, COMMAND, FEEDBACK, PHASE, PAIR, PAIR_STORED, MEMORY_CHANGE, MEMORY_SNAPSHOT,
+    CURRENT_MODEL, KEPT_MODEL, ITERATION, TIMING, FINISHED, STATUS, ALIVE,
+)  # fmt: skip
+
+
+def find(brain: str, key: str) -> Key | None:
+    """Return the row that a full key belongs to, or None."""
+    return next((row for row in KEYS if row.match(brain, key) is not None), None)
+
+
+def table() -> str:
+    """Return the key table as Markdown, as it stands in the README."""
+    lines = [
+        "| key below `mdb/<brain>/` | payload | only writer | delivery | late joiner | meaning |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in KEYS:
+        delivery, _, rest = row.delivery.value.partition(":")
+        late = row.late_joiner or {
+            Delivery.LATEST: "the last",
+            Delivery.LATCHED: "the last",
+            Delivery.RELIABLE: "what comes",
+            Delivery.QUERY: "asks",
+            Delivery.TOKEN: "all that live",
+        }[row.delivery]
+        payload = row.message.__name__ if row.message else "none"
+        lines.append(f"| `{row.path}` | {payload} | {row.writer} | {delivery} | {late} | {row.meaning} |")
+    return "\n".join(lines)

@@ -1,0 +1,254 @@
+"""The messages of the brain, one frozen class each: what is on the wire, with its units and bounds.
+
+Owns the payload types; says nothing of keys (`keys`) or bytes (`codec`). Unknown fields are accepted, so
+a newer sender can talk to an older reader; wrong types and non-finite numbers are refused with their path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+Iteration = Annotated[int, Meta(ge=0, le=2**53)]
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+Index = Annotated[int, Meta(ge=0, le=2**31)]
+Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.-]+$")]
+Text = Annotated[str, Meta(max_length=4096)]
+Event = Literal["none", "capture", "bump", "lost", "timeout"]
+Reading = dict[Name, float]
+Versions = dict[Name, Count]
+
+VALUE_BOUND = 1e6
+"""Sensor and model values beyond this are refused: no sensor of a robot means them."""
+
+
+def check_finite(what: str, values: Mapping[str, float] | float | None) -> None:
+    """Raise ValueError when a number is not finite or is beyond `VALUE_BOUND`."""
+    if values is None:
+        return
+    items = values.items() if isinstance(values, Mapping) else ((what, values),)
+    for name, value in items:
+        if not math.isfinite(value) or abs(value) > VALUE_BOUND:
+            raise ValueError(f"{what}: {name} is {value!r}; expected a finite number within ±{VALUE_BOUND:g}")
+
+
+def check_array(what: str, array: np.ndarray, kind: str, ndim: int) -> None:
+    """Raise ValueError unless `array` has the dtype kind ("f", "i", "u"), dimensions and finite values."""
+    if array.dtype.kind != kind or array.ndim != ndim:
+        raise ValueError(
+            f"{what}: got {array.ndim} dimensions of {array.dtype}; expected {ndim} of kind {kind!r}"
+        )
+    if kind == "f" and not (np.isfinite(array).all() and (np.abs(array) <= VALUE_BOUND).all()):
+        raise ValueError(f"{what}: holds values that are not finite or beyond ±{VALUE_BOUND:g}")
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True):
+    """Base of all messages."""
+
+
+class Placement(Message, frozen=True, kw_only=True):
+    """Where robot and object truly are: metres and radians in the arena's frame."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    object_x_m: float
+    object_y_m: float
+
+    def __post_init__(self) -> None:
+        check_finite("placement", {name: getattr(self, name) for name in self.__struct_fields__})
+
+
+class Perception(Message, frozen=True, kw_only=True):
+    """What the robot sensed after its `iteration`-th action (0: none yet).
+
+    `outcome` is the reading that the action led to; `reading` is what the next action starts from. They
+    are the same unless `event` brought a new placement. A sensor that sees nothing is left out.
+    """
+
+    iteration: Iteration
+    event: Event
+    outcome: Reading
+    reading: Reading
+
+    def __post_init__(self) -> None:
+        check_finite("outcome", self.outcome)
+        check_finite("reading", self.reading)
+
+
+class Scene(Message, frozen=True, kw_only=True):
+    """What a bystander sees, the teacher among them; the brain never reads it."""
+
+    iteration: Iteration
+    episode: Count
+    captures: Count
+    event: Event
+    reached: Placement
+    now: Placement
+
+
+class Command(Message, frozen=True, kw_only=True):
+    """The teacher's note for the coming action of `iteration`; None: the teacher stays silent."""
+
+    teacher: Name
+    iteration: Iteration
+    note: Annotated[int, Meta(ge=0, le=127)] | None
+
+
+class Feedback(Message, frozen=True, kw_only=True):
+    """Reward or punishment in [-1, 1] for the action taken at `iteration`."""
+
+    teacher: Name
+    iteration: Iteration
+    value: Annotated[float, Meta(ge=-1, le=1)]
+
+    def __post_init__(self) -> None:
+        check_finite("value", self.value)
+
+
+class Phase(Message, frozen=True, kw_only=True):
+    """The part of the experiment that began at `iteration`, and who teaches in it (None: nobody)."""
+
+    iteration: Iteration
+    name: Text
+    teacher: Name | None = None
+
+
+class Action(Message, frozen=True, kw_only=True):
+    """The action of `iteration`: an index into the robot's actions; void `valid_for_s` after it came."""
+
+    iteration: Iteration
+    action: Annotated[int, Meta(ge=0, le=1023)]
+    valid_for_s: Annotated[float, Meta(gt=0, le=3600)]
+
+
+class Pair(Message, frozen=True, kw_only=True):
+    """Action-perception pair (paper, section 2.1) of `iteration`; `versions`: the models acted upon."""
+
+    iteration: Iteration
+    before: Reading
+    note: Annotated[int, Meta(ge=0, le=127)] | None
+    action: Annotated[int, Meta(ge=0, le=1023)]
+    after: Reading
+    feedback: Annotated[float, Meta(ge=-1, le=1)] | None
+    versions: Versions
+
+    def __post_init__(self) -> None:
+        check_finite("before", self.before)
+        check_finite("after", self.after)
+        check_finite("feedback", self.feedback)
+
+
+class PairStored(Message, frozen=True, kw_only=True):
+    """The pair of `iteration` is on disk; `versions`: each model's short-term memory after it."""
+
+    iteration: Iteration
+    versions: Versions
+
+
+class MemoryChange(Message, frozen=True, kw_only=True):
+    """One insert into the short-term memory of `model`: row `slot` now holds pair `pair`."""
+
+    model: Name
+    version: Count
+    slot: Index
+    pair: Iteration
+    evicted: Iteration | None
+    inputs: np.ndarray
+    targets: np.ndarray
+
+    def __post_init__(self) -> None:
+        check_array("inputs", self.inputs, "f", 1)
+        check_array("targets", self.targets, "f", 1)
+
+
+class MemorySnapshot(Message, frozen=True, kw_only=True):
+    """The whole short-term memory of `model`: pairs (n,), inputs (n, i), targets (n, o), by slot."""
+
+    model: Name
+    version: Count
+    pairs: np.ndarray
+    inputs: np.ndarray
+    targets: np.ndarray
+
+    def __post_init__(self) -> None:
+        check_array("pairs", self.pairs, "i", 1)
+        check_array("inputs", self.inputs, "f", 2)
+        check_array("targets", self.targets, "f", 2)
+        if not len(self.pairs) == len(self.inputs) == len(self.targets):
+            raise ValueError(
+                f"snapshot rows differ: {len(self.pairs)} pairs, {len(self.inputs)} inputs, "
+                f"{len(self.targets)} targets; expected the same number of each"
+            )
+
+
+class CurrentModel(Message, frozen=True, kw_only=True):
+    """The best network of `model` after its generations on memory `version`.
+
+    `layers` are the numbers of inputs, expressed hidden units and outputs; `weights` the matrices
+    (units, inputs + 1), bias last, flattened one after the other; `error` the mean squared error over
+    the short-term memory in the outputs' scaled units.
+    """
+
+    model: Name
+    version: Count
+    generation: Count
+    layers: Annotated[list[Annotated[int, Meta(ge=1, le=4096)]], Meta(min_length=2, max_length=8)]
+    weights: np.ndarray
+    error: float
+
+    def __post_init__(self) -> None:
+        check_array("weights", self.weights, "f", 1)
+        check_finite("error", self.error)
+        expected = sum((i + 1) * o for i, o in zip(self.layers, self.layers[1:], strict=False))
+        if len(self.weights) != expected:
+            raise ValueError(f"weights: got {len(self.weights)}, but layers {self.layers} need {expected}")
+
+
+class IterationReport(Message, frozen=True, kw_only=True):
+    """What the optimizer did at `iteration`: mode, action, why, and how well each model had foreseen it.
+
+    `predicted` is the satisfaction foreseen for the chosen action (None: no model applied);
+    `prequential` each model's mean squared error on this pair before learning it.
+    """
+
+    iteration: Iteration
+    mode: Name
+    action: Annotated[int, Meta(ge=0, le=1023)]
+    explored: bool
+    predicted: float | None
+    note: Annotated[int, Meta(ge=0, le=127)] | None
+    feedback: float | None
+    event: Event
+    prequential: dict[Name, float]
+    versions: Versions
+
+
+class Timing(Message, frozen=True, kw_only=True):
+    """Durations of one iteration on this machine: differs from run to run, unlike all the rest."""
+
+    iteration: Iteration
+    perception_to_action_s: float
+    cycle_s: float
+
+
+class Finished(Message, frozen=True, kw_only=True):
+    """The optimizer has done all iterations of the experiment."""
+
+    iterations: Iteration
+
+
+class Status(Message, frozen=True, kw_only=True):
+    """A service's answer to "how are you?"; `values` holds its own figures."""
+
+    role: Name
+    instance: Name
+    pid: Count
+    uptime_s: float
+    values: dict[str, float]
+    refused: dict[str, Count]

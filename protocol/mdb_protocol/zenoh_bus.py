@@ -1,0 +1,277 @@
+"""The bus over Eclipse Zenoh, and the router that carries it. The only module that imports zenoh.
+
+Callbacks run on Zenoh's threads and only hand raw samples to an inbox; queries are answered by the
+service's own thread in `serve`. Reliable and latched keys use Zenoh's advanced publishers (a cache that
+late joiners and recovery read); latest-value keys drop under congestion unless the bus is `lossless`.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import zenoh
+from zenoh import ext
+from zenoh.handlers import Callback
+
+from mdb_protocol import codec
+from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, read
+from mdb_protocol.errors import BusError, DecodeError, QueryError
+from mdb_protocol.keys import ALIVE, ROOT, Delivery, Key
+from mdb_protocol.messages import Message
+
+RELIABLE_CACHE = 256
+"""Samples a reliable publisher keeps for readers that missed some."""
+HEARTBEAT_S = 0.5
+"""How often a reliable publisher that sent something says how far it is, so a lost last sample is noticed."""
+LEASE_MS = 2000
+"""A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+
+class ZenohBus(Bus):
+    """A service's access to the keys of one brain through a Zenoh router."""
+
+    def __init__(
+        self,
+        brain: str,
+        connect: str = DEFAULT_ENDPOINT,
+        *,
+        connect_timeout_s: float = 5.0,
+        lossless: bool = False,
+    ) -> None:
+        """Join the router at `connect`; BusError when none answers within the bound.
+
+        `lossless` makes latest-value publishers wait instead of dropping (lockstep runs).
+        """
+        super().__init__(brain)
+        self._lossless = lossless
+        self._session = _open_client(connect, connect_timeout_s)
+        self._declared: list[Any] = []
+        self._asked: SimpleQueue[tuple[Key, Callable[[], Message | None], zenoh.Query]] = SimpleQueue()
+        self._alive: set[str] | None = None
+        self._alive_lock = threading.Lock()
+
+    def publisher(self, row: Key, **parameters: str) -> Publisher:
+        """See `Bus.publisher`."""
+        key = row.at(self.brain, **parameters)
+        if row.message is None or "*" in key:
+            raise BusError(f"cannot publish on {key}: it is not a concrete key with a payload")
+        keeps_last = row.delivery in (Delivery.LATEST, Delivery.LATCHED)
+        drops = row.delivery is Delivery.LATEST and not self._lossless
+        publisher = ext.declare_advanced_publisher(
+            self._session,
+            key,
+            encoding=codec.encoding_of(row.message),
+            congestion_control=zenoh.CongestionControl.DROP if drops else zenoh.CongestionControl.BLOCK,
+            express=True,
+            cache=ext.CacheConfig(1 if keeps_last else RELIABLE_CACHE),
+            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
+            publisher_detection=True,
+        )
+        self._declared.append(publisher)
+        return _Publisher(publisher)
+
+    def subscriber(self, row: Key, **parameters: str) -> Inbox:
+        """See `Bus.subscriber`."""
+        inbox = Inbox(row, self.brain, self.refusals, self._wake)
+        keeps_last = row.delivery in (Delivery.LATEST, Delivery.LATCHED)
+        self._subscribe(row.at(self.brain, **parameters), inbox.put, history=keeps_last)
+        return inbox
+
+    def tap(self) -> Tap:
+        """See `Bus.tap`."""
+        tap = Tap(self._wake)
+        self._subscribe(f"{ROOT}/{self.brain}/**", tap.put, history=True)
+        return tap
+
+    def _subscribe(self, key: str, put: Callable[[Raw], None], *, history: bool) -> None:
+        def hand_over(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                put(Raw(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding)))
+
+        subscriber = ext.declare_advanced_subscriber(
+            self._session,
+            key,
+            Callback(hand_over, indirect=False),
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1) if history else None,
+            recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+        )
+        self._declared.append(subscriber)
+
+    def queryable(self, row: Key, handler: Callable[[], Message | None], **parameters: str) -> None:
+        """See `Bus.queryable`; the handler runs in `serve`, on the service's own thread."""
+
+        def hand_over(query: zenoh.Query) -> None:
+            self._asked.put((row, handler, query))
+            self._wake.put(None)
+
+        key = row.at(self.brain, **parameters)
+        queryable = self._session.declare_queryable(key, Callback(hand_over, indirect=False), complete=True)
+        self._declared.append(queryable)
+
+    def serve(self) -> None:
+        """See `Bus.serve`."""
+        while not self._asked.empty():
+            row, handler, query = self._asked.get_nowait()
+            with query, suppress(zenoh.ZError):
+                try:
+                    reply = handler()
+                except Exception as error:
+                    query.reply_err(f"{type(error).__name__}: {error}".encode())
+                    continue
+                if reply is not None:
+                    encoding = codec.encoding_of(type(reply))
+                    query.reply(self._reply_key(row, query.key_expr, reply), codec.encode(reply), encoding=encoding)
+
+    def _reply_key(self, row: Key, asked: zenoh.KeyExpr, reply: Message) -> str:
+        if "*" not in str(asked):
+            return str(asked)
+        return row.at(self.brain, **{name: str(getattr(reply, name)) for name in row.parameters})
+
+    def query(self, row: Key, timeout_s: float, **parameters: str) -> list[Any]:
+        """See `Bus.query`."""
+        key = row.at(self.brain, **parameters)
+        answers = []
+        for reply in self._session.get(
+            key,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout_s,
+        ):
+            if reply.ok is None:
+                said = reply.err.payload.to_bytes().decode(errors="replace") if reply.err else "nothing"
+                raise QueryError(f"{key}: answered with an error within {timeout_s} s: {said}")
+            sample = reply.ok
+            try:
+                raw = Raw(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
+                answers.append(read(row, self.brain, raw))
+            except DecodeError as error:
+                self.refusals.add(row.path, str(error))
+        return answers
+
+    def token(self, role: str, instance: str) -> None:
+        """See `Bus.token`."""
+        key = ALIVE.at(self.brain, role=role, instance=instance)
+        self._declared.append(self._session.liveliness().declare_token(key))
+
+    def alive(self) -> frozenset[str]:
+        """See `Bus.alive`; the first call asks and from then on follows the changes."""
+        if self._alive is None:
+            self._alive = set()
+            key = ALIVE.at(self.brain)
+            subscriber = self._session.liveliness().declare_subscriber(
+                key, Callback(self._on_token, indirect=False), history=True
+            )
+            self._declared.append(subscriber)
+            for reply in self._session.liveliness().get(key, timeout=2.0):
+                if reply.ok is not None:
+                    self._on_token(reply.ok)
+        with self._alive_lock:
+            return frozenset(self._alive)
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        name = self._alive_name(str(sample.key_expr))
+        if name is None or self._alive is None:
+            return
+        with self._alive_lock:
+            if sample.kind == zenoh.SampleKind.PUT:
+                self._alive.add(name)
+            else:
+                self._alive.discard(name)
+        self._wake.put(None)
+
+    def close(self) -> None:
+        """See `Bus.close`."""
+        for declared in reversed(self._declared):
+            with suppress(zenoh.ZError):
+                declared.undeclare()
+        self._declared.clear()
+        self._session.close()
+
+
+class _Publisher:
+    def __init__(self, publisher: ext.AdvancedPublisher) -> None:
+        self._publisher = publisher
+
+    def put(self, message: Message) -> None:
+        try:
+            self._publisher.put(codec.encode(message))
+        except zenoh.ZError as error:
+            raise BusError(f"cannot publish on {self._publisher.key_expr}: {error}") from error
+
+
+def _open_client(connect: str, timeout_s: float) -> zenoh.Session:
+    config = zenoh.Config.from_json5(
+        json.dumps(
+            {
+                "mode": "client",
+                "connect": {
+                    "endpoints": [connect],
+                    "timeout_ms": 1000,
+                    "exit_on_failure": True,
+                    "retry": {
+                        "period_init_ms": 100,
+                        "period_max_ms": 500,
+                        "period_increase_factor": 1.5,
+                    },
+                },
+                "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+                "transport": {"link": {"tx": {"lease": LEASE_MS}}},
+            }
+        )
+    )
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if time.monotonic() >= deadline:
+                raise BusError(
+                    f"no router answers at {connect} within {timeout_s:g} s ({_first_line(error)}). Start one "
+                    f"with 'mdb run router --listen {connect}', or give the right one with --connect"
+                ) from error
+            time.sleep(0.05)
+
+
+class Router:
+    """A Zenoh router in this process (paper: none; ours). The same config file drives `zenohd`."""
+
+    def __init__(self, config_file: Path, listen: str | None = None) -> None:
+        """Start routing; `listen` replaces the file's endpoint, port 0 asks for a free one.
+
+        Raises `BusError` when the file is not a config or the endpoint cannot be had.
+        """
+        try:
+            config = zenoh.Config.from_file(str(config_file))
+            if listen:
+                config.insert_json5("listen/endpoints", json.dumps([listen]))
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            where = listen or f"the endpoint in {config_file}"
+            raise BusError(
+                f"the router cannot start on {where}: {_first_line(error)}. Is the port in use? Choose another "
+                "with --listen tcp/127.0.0.1:PORT (port 0: any free one)"
+            ) from error
+
+    def endpoint(self) -> str:
+        """Return the first endpoint it listens on, with the real port."""
+        for reply in self._session.get("@/*/router", timeout=2.0):
+            if reply.ok is not None:
+                locators: list[str] = json.loads(reply.ok.payload.to_bytes())["locators"]
+                return locators[0]
+        raise BusError("the router does not say where it listens; is its admin space switched off?")
+
+    def close(self) -> None:
+        """Stop routing; clients notice at once."""
+        self._session.close()
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0][:200] if str(error).strip() else type(error).__name__
