@@ -82,12 +82,18 @@ class Perception(Message, frozen=True, kw_only=True):
 
 
 class Scene(Message, frozen=True, kw_only=True):
-    """What a bystander sees, the teacher among them; the brain never reads it."""
+    """What a bystander sees, the teacher among them; the brain never reads it.
+
+    The robot did `action` at `before` and came to `reached`; `now` is where the next action starts, the
+    same unless `event` brought a new placement. At iteration 0 nothing was done yet.
+    """
 
     iteration: Iteration
     episode: Count
     captures: Count
     event: Event
+    action: Annotated[int, Meta(ge=0, le=1023)] | None
+    before: Placement | None
     reached: Placement
     now: Placement
 
@@ -198,7 +204,7 @@ class CurrentModel(Message, frozen=True, kw_only=True):
     model: Name
     version: Count
     generation: Count
-    layers: Annotated[list[Annotated[int, Meta(ge=1, le=4096)]], Meta(min_length=2, max_length=8)]
+    layers: Annotated[list[Annotated[int, Meta(ge=0, le=4096)]], Meta(min_length=2, max_length=8)]
     weights: np.ndarray
     error: float
 

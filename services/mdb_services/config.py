@@ -1,0 +1,248 @@
+"""What an experiment file says of the brain: channels, models, modes, memory, evolution, pace.
+
+Owns the sections that the services read and the way a file becomes them: TOML, then overrides
+(`--set evolution.population=400`), then checked. Sections of others (`robot`, `teacher`) pass through.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from mdb_protocol.errors import ConfigError
+from mdb_services.mechanism.choice import Mode
+from mdb_services.mechanism.encoding import Channel, Encoding
+from mdb_services.mechanism.pbga import EvolutionConfig
+from mdb_services.mechanism.stm import MemoryConfig
+
+T = TypeVar("T")
+
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+Seconds = Annotated[float, Meta(gt=0, le=3600)]
+Probability = Annotated[float, Meta(ge=0, le=1)]
+
+DERIVED = ("next.", "covered.")
+"""Prefixes of variables that come from a sensor: after the action, and the relative change."""
+
+
+class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all sections of an experiment file: immutable, unknown names refused."""
+
+
+class ExperimentSection(Section, frozen=True, kw_only=True):
+    """`[experiment]`: what is run."""
+
+    name: Name
+    brain: Name = "pioneer"
+    """All keys lie below `mdb/<brain>/`."""
+    iterations: Annotated[int, Meta(ge=1, le=10_000_000)]
+    seed: Annotated[int, Meta(ge=0, le=2**62)] = 1
+    pace: Literal["concurrent", "lockstep"] = "concurrent"
+
+
+class ChannelSection(Section, frozen=True, kw_only=True):
+    """`[channels.NAME]`: how a variable is scaled; `change` scales `covered.NAME` to ±change."""
+
+    encoding: Encoding = "scalar"
+    low: float = -1.0
+    high: float = 1.0
+    size: Annotated[int, Meta(ge=0, le=128)] = 0
+    values: tuple[float, ...] = ()
+    change: Annotated[float, Meta(gt=0)] | None = None
+
+
+class ModelSection(Section, frozen=True, kw_only=True):
+    """`[[model]]`: one evolver. `evolution` and `memory` say what differs from the file's defaults."""
+
+    name: Name
+    role: Literal["world", "satisfaction"]
+    inputs: Annotated[tuple[str, ...], Meta(min_length=1)]
+    outputs: Annotated[tuple[str, ...], Meta(min_length=1)]
+    hidden: Annotated[tuple[Annotated[int, Meta(ge=1, le=512)], ...], Meta(min_length=1, max_length=4)]
+    capacity: Annotated[int, Meta(ge=1, le=100_000)]
+    """Pairs in its short-term memory."""
+    evolution: dict[str, Any] = {}
+    memory: dict[str, Any] = {}
+
+
+class ModeSection(Section, frozen=True, kw_only=True):
+    """`[[mode]]`: a pair of models that can act, in order of precedence."""
+
+    name: Name
+    world: str
+    satisfaction: str
+    aspiration: float | None = None
+    exploration: Probability = 0.0
+
+
+class OptimizerSection(Section, frozen=True, kw_only=True):
+    """`[optimizer]`: the operation cycle's exploration and its bounded waits."""
+
+    actions: Annotated[int, Meta(ge=2, le=1024)]
+    random_iterations: Annotated[int, Meta(ge=0)] = 0
+    """Exploration is forced before this iteration (paper, section 3: 200)."""
+    command_patience_s: Seconds = 2.0
+    """How long a teacher who is there may take for a command before the brain acts on its own."""
+    feedback_patience_s: Seconds = 2.0
+    lockstep_patience_s: Seconds = 60.0
+    """How long a lockstep run waits for a model before it goes on with the one it has."""
+    resend_s: Seconds = 0.5
+    """An action without effect, or a pair without acknowledgement, is sent again after this."""
+    action_valid_s: Seconds = 1.0
+
+
+class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """The brain's part of an experiment file; other top-level sections are left to their owners."""
+
+    experiment: ExperimentSection
+    channels: dict[str, ChannelSection]
+    model: Annotated[tuple[ModelSection, ...], Meta(min_length=1)]
+    mode: Annotated[tuple[ModeSection, ...], Meta(min_length=1)]
+    optimizer: OptimizerSection
+    evolution: dict[str, Any] = {}
+    memory: dict[str, Any] = {}
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether acting waits for learning, so that a seed gives the same run every time."""
+        return self.experiment.pace == "lockstep"
+
+    def model_named(self, name: str) -> ModelSection:
+        """Return a model's section; ConfigError when there is none."""
+        for model in self.model:
+            if model.name == name:
+                return model
+        raise ConfigError(f"no model {name!r}; the file has {', '.join(m.name for m in self.model)}")
+
+    def evolution_of(self, model: ModelSection) -> EvolutionConfig:
+        """Return the file's evolution settings with what the model changes."""
+        return make(EvolutionConfig, self.evolution | model.evolution, f"evolution of model {model.name}")
+
+    def memory_of(self, model: ModelSection) -> MemoryConfig:
+        """Return the file's memory settings with what the model changes."""
+        return make(MemoryConfig, self.memory | model.memory, f"memory of model {model.name}")
+
+    def variables(self) -> dict[str, Channel]:
+        """Return the channel of each variable a model may use, `next.` and `covered.` ones included."""
+        found: dict[str, Channel] = {}
+        for name, section in self.channels.items():
+            fields = {k: getattr(section, k) for k in section.__struct_fields__ if k != "change"}
+            channel = make(Channel, fields, f"channels.{name}")
+            found[name] = found[f"next.{name}"] = channel
+            if section.change is not None:
+                found[f"covered.{name}"] = Channel(low=-section.change, high=section.change)
+        return found
+
+    def modes(self) -> list[Mode]:
+        """Return the modes in order of precedence."""
+        return [Mode(**msgspec.structs.asdict(mode)) for mode in self.mode]
+
+    def check(self) -> None:
+        """Raise ConfigError unless every name that a section uses exists and all settings hold together."""
+        variables = self.variables()
+        for model in self.model:
+            for name in (*model.inputs, *model.outputs):
+                if name not in variables:
+                    raise ConfigError(f"model {model.name}: no channel for {name!r}{_nearest(name, variables)}")
+            self.evolution_of(model)
+            self.memory_of(model)
+        models = {model.name: model for model in self.model}
+        if len(models) < len(self.model):
+            raise ConfigError("two models have the same name; give each its own")
+        for mode in self.mode:
+            if mode.world not in models:
+                raise ConfigError(f"mode {mode.name}: no world model {mode.world!r}{_nearest(mode.world, models)}")
+            if mode.satisfaction not in models and mode.satisfaction not in models[mode.world].outputs:
+                raise ConfigError(
+                    f"mode {mode.name}: satisfaction {mode.satisfaction!r} is neither a model nor an output "
+                    f"of {mode.world}{_nearest(mode.satisfaction, models)}"
+                )
+
+
+def read_file(path: Path, overrides: Iterable[str] = ()) -> dict[str, Any]:
+    """Return the plain content of an experiment file with `NAME.NAME=VALUE` overrides applied.
+
+    A model's, mode's or phase's name picks it from its list: `model.object.evolution.population=400`.
+    Raises ConfigError when the file cannot be read or an override cannot be applied.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read the experiment file {path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}") from error
+    for override in overrides:
+        _override(content, override)
+    return content
+
+
+def convert(section: Mapping[str, Any], cls: type[T], source: object) -> T:
+    """Return the checked section; ConfigError names the source and the path of what is wrong."""
+    try:
+        return msgspec.convert(section, cls, strict=True)
+    except (msgspec.ValidationError, ValueError) as error:
+        raise ConfigError(f"{source}: {error}") from error
+
+
+def brain_config(content: Mapping[str, Any], source: object) -> BrainConfig:
+    """Return the brain's part of an experiment file's content, checked."""
+    config = convert(content, BrainConfig, source)
+    try:
+        config.check()
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from error
+    return config
+
+
+def make(cls: type[T], fields: Mapping[str, Any], what: str) -> T:
+    """Return a dataclass of the mechanism from plain fields; ConfigError on unknown names or bad values."""
+    known = cls.__dataclass_fields__  # type: ignore[attr-defined]
+    for name in fields:
+        if name not in known:
+            raise ConfigError(f"{what}: unknown setting {name!r}{_nearest(name, known)}")
+    try:
+        return msgspec.convert(dict(fields), cls, strict=True)
+    except (msgspec.ValidationError, ValueError) as error:
+        raise ConfigError(f"{what}: {error}") from error
+
+
+def _override(content: dict[str, Any], override: str) -> None:
+    path, equals, text = override.partition("=")
+    names = path.strip().split(".")
+    if not equals or not all(names):
+        raise ConfigError(f"--set {override!r}: expected SECTION.NAME=VALUE, as in evolution.population=400")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    place: Any = content
+    for i, name in enumerate(names[:-1]):
+        if isinstance(place, dict):
+            place = place.setdefault(name, {})
+        elif isinstance(place, list):
+            place = _by_name(place, name, override)
+        if not isinstance(place, dict | list):
+            raise ConfigError(f"--set {override!r}: {'.'.join(names[: i + 1])} is a value, not a section")
+    if not isinstance(place, dict):
+        raise ConfigError(f"--set {override!r}: name the entry, as in model.object.hidden=[12]")
+    place[names[-1]] = value
+
+
+def _by_name(entries: list[Any], name: str, override: str) -> Any:
+    for entry in entries:
+        if entry.get("name") == name:
+            return entry
+    names = [str(entry.get("name")) for entry in entries]
+    raise ConfigError(f"--set {override!r}: no entry named {name!r}; there are {', '.join(names)}")
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, 1)
+    return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(names)}"

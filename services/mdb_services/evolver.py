@@ -1,0 +1,138 @@
+"""An evolver: one population for one model, a few generations for each version of its short-term memory.
+
+Owns the population of one world or satisfaction model; publishes its best as the current model. Never acts.
+A restarted evolver takes its memory from the memory store and its last current model as a seed.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import structlog
+
+from mdb_protocol import keys, messages
+from mdb_protocol.bus import Bus
+from mdb_protocol.errors import QueryError
+from mdb_services.config import BrainConfig
+from mdb_services.mechanism.encoding import Codebook
+from mdb_services.mechanism.network import Network, Shape
+from mdb_services.mechanism.pbga import PromoterGA
+from mdb_services.mechanism.stm import Change, MemoryMirror, VersionGapError
+
+log = structlog.get_logger()
+
+ROLE = "evolver"
+QUERY_S = 2.0
+"""Bound on asking the memory store; without an answer the next step asks again."""
+
+
+class Evolver:
+    """See the module's docstring; `step` does at most one version's generations."""
+
+    role = ROLE
+
+    def __init__(self, bus: Bus, config: BrainConfig, model: str) -> None:
+        """Build the evolver of the model named `model`; ConfigError when the file has none of that name."""
+        section = config.model_named(model)
+        codebook = Codebook(config.variables(), section.inputs, section.outputs)
+        self.bus, self.instance = bus, model
+        self._evolution = config.evolution_of(section)
+        shape = Shape(codebook.width, section.hidden, len(section.outputs))
+        self._learner = PromoterGA(shape, self._evolution, config.experiment.seed, f"{ROLE}/{model}")
+        self._lockstep = config.lockstep
+        self._mirror = MemoryMirror(section.capacity, shape.inputs, shape.outputs)
+        self._learnt_version = 0
+        self._generations = 0
+        self._error = 0.0
+        self._step_s = 0.0
+        self._joined = False
+        self._publisher = bus.publisher(keys.CURRENT_MODEL, model=model)
+        self._changes = bus.subscriber(keys.MEMORY_CHANGE, model=model)
+
+    def step(self) -> bool:
+        """Follow the memory; when it has a version not learnt yet, learn it and publish the best."""
+        if not self._joined:
+            self._joined = self._join()
+            return self._joined
+        moved = False
+        while (change := self._changes.take()) is not None:
+            moved = True
+            self._follow(change)
+            if self._lockstep and self._mirror.version > self._learnt_version:
+                break  # every version gets its own generations
+        if self._mirror.version > self._learnt_version:
+            self._learn()
+            moved = True
+        return moved
+
+    def _join(self) -> bool:
+        """Take the memory as it is, and the last current model as a seed, from the memory store."""
+        kept: list[messages.CurrentModel] = []
+        try:
+            snapshots = self.bus.query(keys.MEMORY_SNAPSHOT, QUERY_S, model=self.instance)
+            if snapshots:
+                kept = self.bus.query(keys.KEPT_MODEL, QUERY_S, model=self.instance)
+        except QueryError as error:
+            log.warning("memory store gave no usable answer; asking again", reason=str(error))
+            return False
+        if not snapshots:
+            return False
+        self._load(snapshots[0])
+        if kept:
+            self._learner.seed([Network.from_arrays(kept[0].layers, kept[0].weights)])
+            self._generations = kept[0].generation
+            log.info("seeded with the kept model", model=self.instance, version=kept[0].version)
+        return True
+
+    def _load(self, snapshot: messages.MemorySnapshot) -> None:
+        self._mirror.restore(
+            {
+                "inputs": snapshot.inputs,
+                "targets": snapshot.targets,
+                "ids": snapshot.pairs,
+                "version": np.array(snapshot.version),
+            }
+        )
+
+    def _follow(self, change: messages.MemoryChange) -> None:
+        if change.version <= self._mirror.version:
+            return
+        try:
+            entry = Change(change.version, change.slot, change.pair, change.evicted)
+            self._mirror.apply(entry, change.inputs, change.targets)
+        except VersionGapError:
+            log.info("missed a change; asking for the whole memory", model=self.instance, version=change.version)
+            self._joined = False
+
+    def _learn(self) -> None:
+        started = time.perf_counter()
+        inputs, targets, _ = self._mirror.arrays()
+        best = self._learner.learn(inputs, targets, version=self._mirror.version)
+        self._generations += self._evolution.generations
+        self._learnt_version, self._error = self._mirror.version, best.error
+        layers, weights = best.network.to_arrays()
+        self._publisher.put(
+            messages.CurrentModel(
+                model=self.instance,
+                version=self._learnt_version,
+                generation=self._generations,
+                layers=layers,
+                weights=np.ascontiguousarray(weights, np.float32),
+                error=best.error,
+            )
+        )
+        self._step_s = time.perf_counter() - started
+
+    def values(self) -> dict[str, float]:
+        """Version learnt and behind, generations, error over the memory, duration of the last learning."""
+        return {
+            "version": float(self._learnt_version),
+            "behind": float(self._mirror.version - self._learnt_version),
+            "generation": float(self._generations),
+            "error": self._error,
+            "learn_s": self._step_s,
+        }
+
+    def close(self) -> None:
+        """Nothing to free."""

@@ -1,0 +1,93 @@
+"""Choice of the current action: every action is tried in the models, the best is taken (paper, section 3).
+
+A mode is a world model and what tells the satisfaction of what it predicts: a satisfaction model, or one
+of the world model's own outputs (the trivial satisfaction model of the operation with teacher).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdb_services.mechanism.encoding import Codebook, Facts, with_changes
+from mdb_services.mechanism.network import Network
+
+RANDOM = "random"
+"""The mode when no model pair applies, or while exploration is forced."""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One pair of models that can act. `satisfaction` is a model's name or an output of the world model.
+
+    While the best predicted satisfaction is below `aspiration`, a random action is taken with probability
+    `exploration` (ours: without it a robot that obeys wrongly sees only what it does wrongly).
+    """
+
+    name: str
+    world: str
+    satisfaction: str
+    aspiration: float | None = None
+    exploration: float = 0.0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The action taken, in which mode, whether at random, and the satisfaction foreseen for it."""
+
+    action: int
+    mode: str
+    explored: bool
+    predicted: float | None
+
+
+Models = Mapping[str, tuple[Codebook, Network]]
+
+
+def satisfactions(mode: Mode, models: Models, facts: Facts, actions: int) -> NDArray[np.float64] | None:
+    """Return the satisfaction foreseen for each action (actions,), or None when an input is missing.
+
+    `facts` holds what is known before acting, each of shape (1,).
+    """
+    if mode.world not in models:
+        return None
+    codebook, world = models[mode.world]
+    known = {name: np.repeat(values, actions) for name, values in facts.items()}
+    known["action"] = np.arange(actions, dtype=np.float64)
+    rows = codebook.input_rows(known)
+    if rows is None:
+        return None
+    known |= codebook.predicted(world.predict(rows))
+    if mode.satisfaction in codebook.outputs:
+        return known[mode.satisfaction]
+    if mode.satisfaction not in models:
+        return None
+    codebook, satisfaction = models[mode.satisfaction]
+    rows = codebook.input_rows(with_changes(known))
+    return None if rows is None else satisfaction.predict(rows)[:, 0].astype(np.float64)
+
+
+def choose(
+    modes: Sequence[Mode],
+    models: Models,
+    facts: Facts,
+    actions: int,
+    rng: np.random.Generator,
+    *,
+    forced_exploration: bool = False,
+) -> Choice:
+    """Return the choice of the first mode whose inputs are present; a random action when none is."""
+    explores, other = rng.random(), int(rng.integers(actions))
+    for mode in modes:
+        foreseen = satisfactions(mode, models, facts, actions)
+        if foreseen is None:
+            continue
+        best = int(np.argmax(foreseen))
+        dissatisfied = mode.aspiration is not None and foreseen[best] < mode.aspiration
+        random = forced_exploration or (dissatisfied and explores < mode.exploration)
+        action = other if random else best
+        return Choice(action, mode.name, random, float(foreseen[action]))
+    return Choice(other, RANDOM, True, None)

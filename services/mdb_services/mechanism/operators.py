@@ -1,0 +1,232 @@
+"""Selection, crossover and mutation of the promoter-based genetic algorithm, compiled.
+
+A unit is a neuron with all its inbound weights and its bias, preceded by a promoter gene that says whether it
+is expressed (paper, reference 14; the details below are ours, from memory of the literature). Weights that an
+expressed unit sends to the outputs cross over with the sending unit, since they say what its signal means;
+between hidden layers they stay with the receiving unit.
+
+*Statistically neutral*: crossover and structural mutation leave the expected number of expressed units exactly
+as it is, so only selection changes the size of networks.
+
+Each offspring draws from a stream of its own, a function of (key, generation, offspring), so results depend
+neither on threads nor on order.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mdb_services.mechanism.kernel import compiled, population_errors
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_27, _30, _31, _11, _16 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(11), np.uint64(16)
+_LOW16 = np.uint64(0xFFFF)
+_UNIT = 2.0**-53
+# The sum of four 16-bit integers has mean 2 * 65535 and standard deviation sqrt((2**32 - 1) / 3).
+_SUM_MEAN, _SUM_SCALE = np.float32(131070.0), np.float32((3.0 / (2.0**32 - 1.0)) ** 0.5)
+
+
+class Settings(NamedTuple):
+    """The numbers of `pbga.EvolutionConfig` that the compiled code needs."""
+
+    elite: int
+    tournament: int
+    crossover_rate: float
+    mutation_rate: float
+    shielded_rate: float
+    structural_rate: float
+    step_rate: float
+    step_min: float
+    step_max: float
+    weight_limit: float
+    weight_penalty: float
+
+
+@compiled
+def _scramble(z: Any) -> Any:
+    """Return the output function of splitmix64: every bit depends on every bit of z."""
+    z = (z ^ (z >> _30)) * _MIX1
+    z = (z ^ (z >> _27)) * _MIX2
+    return z ^ (z >> _31)
+
+
+@compiled
+def stream(key: Any, generation: int, offspring: int, state: Any) -> None:
+    """Set state (1,) uint64 to the beginning of an offspring's own stream."""
+    z = _scramble(np.uint64(key) + _GOLDEN * np.uint64(generation + 1))
+    state[0] = _scramble(z ^ (_GOLDEN * np.uint64(offspring + 1)))
+
+
+@compiled
+def draw(state: Any) -> Any:
+    """Return the next 64 bits of splitmix64, a counter that is scrambled."""
+    state[0] += _GOLDEN
+    return _scramble(state[0])
+
+
+@compiled
+def uniform(state: Any) -> Any:
+    """Return a double in [0, 1)."""
+    return (draw(state) >> _11) * _UNIT
+
+
+@compiled
+def below(state: Any, limit: int) -> Any:
+    """Return an integer in [0, limit)."""
+    return int(uniform(state) * limit)
+
+
+@compiled
+def normal(state: Any) -> Any:
+    """Return a float32 of mean 0 and variance 1, nearly normal, never beyond 3.47: a sum of four uniforms."""
+    z = draw(state)
+    total = np.float32(z & _LOW16) + np.float32((z >> _16) & _LOW16)
+    total += np.float32((z >> np.uint64(32)) & _LOW16) + np.float32(z >> np.uint64(48))
+    return (total - _SUM_MEAN) * _SUM_SCALE
+
+
+@compiled
+def cross_promoters(first: Any, second: Any, state: Any, promoters: Any, shares: Any) -> None:
+    """Write the child's promoters, and for each unit the first parent's share of its weights.
+
+    Both express it: the weights mix. Neither: one parent's unit as it is. One does: its weights, and the promoter
+    of either parent with equal probability, so the expected number of expressed units is the parents' mean.
+    """
+    for unit in range(first.size):
+        if first[unit] == second[unit]:
+            promoters[unit] = first[unit]
+            shares[unit] = uniform(state) if first[unit] else below(state, 2)
+        else:
+            promoters[unit] = below(state, 2)
+            shares[unit] = first[unit]
+
+
+@compiled
+def cross_weights(first: Any, second: Any, sizes: Any, shares: Any, state: Any, child: Any) -> None:
+    """Write the child's weights, given the first parent's share of every hidden unit."""
+    offset, gene, sender_gene = 0, 0, 0
+    for layer in range(1, sizes.size):
+        before, last = sizes[layer - 1], layer == sizes.size - 1
+        for unit in range(sizes[layer]):
+            own = np.float32(uniform(state)) if last else shares[gene + unit]
+            for sender in range(before + 1):
+                share = shares[sender_gene + sender] if last and sender < before else own
+                child[offset] = second[offset] + share * (first[offset] - second[offset])
+                offset += 1
+        sender_gene = gene
+        gene += sizes[layer]
+
+
+@compiled
+def mutate_structure(promoters: Any, sizes: Any, state: Any) -> None:
+    """Switch one unit of one layer on or off, with equal probability, and only where both are possible.
+
+    Hence the expected number of expressed units stays. A layer with all its units or none is left alone: any
+    move there would have a direction.
+    """
+    layer = 1 + below(state, sizes.size - 2)
+    start = sizes[1:layer].sum()
+    stop = start + sizes[layer]
+    expressed = promoters[start:stop].sum()
+    if expressed in (0, stop - start):
+        return
+    old = below(state, 2)
+    chosen = below(state, expressed if old else stop - start - expressed)
+    for unit in range(start, stop):
+        if promoters[unit] == old:
+            if chosen == 0:
+                promoters[unit] = 1 - old
+                return
+            chosen -= 1
+
+
+@compiled
+def mutate_weights(child: Any, promoters: Any, sizes: Any, step: Any, settings: Settings, state: Any) -> None:
+    """Add normal numbers of the given step to weights: with one rate where they count, another where not."""
+    offset, gene, sender_gene = 0, 0, 0
+    limit = np.float32(settings.weight_limit)
+    for layer in range(1, sizes.size):
+        before, last = sizes[layer - 1], layer == sizes.size - 1
+        for unit in range(sizes[layer]):
+            receives = last or promoters[gene + unit]
+            for sender in range(before + 1):
+                sends = layer == 1 or sender == before or promoters[sender_gene + sender]
+                rate = settings.mutation_rate if receives and sends else settings.shielded_rate
+                if rate >= 1.0 or (rate > 0.0 and uniform(state) < rate):
+                    child[offset] = min(max(child[offset] + step * normal(state), -limit), limit)
+                offset += 1
+        sender_gene = gene
+        gene += sizes[layer]
+
+
+@compiled
+def _select(order: Any, tournament: int, state: Any) -> Any:
+    """Return the best of a few individuals drawn from the population, order being from best to worst."""
+    best = order.size
+    for _ in range(tournament):
+        best = min(best, below(state, order.size))
+    return order[best]
+
+
+@compiled
+def _breed(
+    weights: Any, promoters: Any, steps: Any, order: Any, sizes: Any, settings: Settings, state: Any,
+    child: Any, child_promoters: Any, shares: Any
+) -> Any:
+    """Write one offspring to child and child_promoters and return its mutation step."""
+    a = _select(order, settings.tournament, state)
+    step = steps[a]
+    if uniform(state) < settings.crossover_rate:
+        b = _select(order, settings.tournament, state)
+        cross_promoters(promoters[a], promoters[b], state, child_promoters, shares)
+        cross_weights(weights[a], weights[b], sizes, shares, state, child)
+        step = np.sqrt(steps[a] * steps[b])
+    else:
+        child[:] = weights[a]
+        child_promoters[:] = promoters[a]
+    step *= np.float32(np.exp(settings.step_rate * normal(state)))
+    step = np.float32(min(max(step, settings.step_min), settings.step_max))
+    if uniform(state) < settings.structural_rate:
+        mutate_structure(child_promoters, sizes, state)
+    mutate_weights(child, child_promoters, sizes, step, settings, state)
+    return step
+
+
+@compiled
+def _measure(weights: Any, promoters: Any, sizes: Any, data: Any, settings: Settings, errors: Any, fitness: Any) -> None:
+    """Write errors and fitness (the lower the better): the error plus the penalty on squared weights."""
+    inputs, targets, pairs = data
+    population_errors(weights, promoters, sizes, inputs, targets, pairs, errors, fitness)
+    for i in range(errors.size):
+        fitness[i] = errors[i] + settings.weight_penalty * fitness[i]
+
+
+@compiled
+def evolve(
+    weights: Any, promoters: Any, steps: Any, errors: Any, fitness: Any, sizes: Any, data: Any,
+    key: Any, first_generation: int, generations: int, settings: Settings
+) -> None:
+    """Evolve the population in place for some generations on data (inputs, targets, pairs).
+
+    First everyone is measured on the present memory: an old fitness says nothing once the memory changed.
+    In a generation the best few stay and offspring replace all others.
+    """
+    _measure(weights, promoters, sizes, data, settings, errors, fitness)
+    elite = settings.elite
+    new_weights, new_promoters, new_steps = weights.copy(), promoters.copy(), steps.copy()
+    shares, state = np.empty(promoters.shape[1], np.float32), np.empty(1, np.uint64)
+    for generation in range(first_generation, first_generation + generations):
+        order = np.argsort(fitness, kind="mergesort")
+        for place in range(elite):
+            kept = order[place]
+            new_weights[place], new_promoters[place], new_steps[place] = weights[kept], promoters[kept], steps[kept]
+        for place in range(elite, steps.size):
+            stream(key, generation, place, state)
+            new_steps[place] = _breed(
+                weights, promoters, steps, order, sizes, settings, state,
+                new_weights[place], new_promoters[place], shares
+            )
+        errors[:elite], fitness[:elite] = errors[order[:elite]], fitness[order[:elite]]
+        weights[:], promoters[:], steps[:] = new_weights, new_promoters, new_steps
+        _measure(weights[elite:], promoters[elite:], sizes, data, settings, errors[elite:], fitness[elite:])

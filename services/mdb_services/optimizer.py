@@ -1,0 +1,307 @@
+"""The action optimizer: the operation cycle (paper, section 2.2), one iteration after the other.
+
+Owns the iteration: perception, command, which mode applies, the best action, the action-perception pair.
+Never learns, and never waits for learning except in lockstep. Every wait has a bound; `step` never blocks:
+it goes on from the stage the cycle is in with what has come.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import structlog
+
+from mdb_protocol import keys, messages
+from mdb_protocol.bus import Bus
+from mdb_services.config import BrainConfig
+from mdb_services.mechanism import streams
+from mdb_services.mechanism.choice import Choice, choose
+from mdb_services.mechanism.encoding import Codebook, Facts, gather
+from mdb_services.mechanism.network import Network
+
+log = structlog.get_logger()
+
+ROLE = "optimizer"
+TEACHER_ROLE = "teacher"
+ENDING_S = 5.0
+"""Bound on waiting for the last acknowledgements before the experiment is called finished."""
+
+
+@dataclass
+class _Cycle:
+    """One iteration in the making."""
+
+    perception: messages.Perception
+    started_s: float
+    note: int | None = None
+    choice: Choice | None = None
+    models: dict[str, tuple[Codebook, Network]] = field(default_factory=dict)
+    versions: dict[str, int] = field(default_factory=dict)
+    acted_s: float = 0.0
+    sent_s: float = 0.0
+    outcome: messages.Perception | None = None
+    outcome_s: float = 0.0
+
+
+@dataclass
+class _CurrentModels:
+    """The newest valid model of each name, ready to use."""
+
+    codebooks: dict[str, Codebook]
+    usable: dict[str, tuple[Codebook, Network]] = field(default_factory=dict)
+    versions: dict[str, int] = field(default_factory=dict)
+
+    def take(self, model: messages.CurrentModel) -> str | None:
+        """Use a model from now on; return what is wrong with it instead, if anything is."""
+        codebook = self.codebooks.get(model.model)
+        if codebook is None:
+            return f"no model {model.model!r} in this experiment"
+        if (model.layers[0], model.layers[-1]) != (codebook.width, len(codebook.outputs)):
+            return f"model {model.model} has layers {model.layers}, not {codebook.width} in, {len(codebook.outputs)} out"
+        try:
+            self.usable[model.model] = codebook, Network.from_arrays(model.layers, model.weights)
+        except ValueError as error:
+            return str(error)
+        self.versions[model.model] = model.version
+        return None
+
+
+class Optimizer:
+    """See the module's docstring."""
+
+    role, instance = ROLE, "action"
+
+    def __init__(self, bus: Bus, config: BrainConfig, clock: Callable[[], float] = time.monotonic) -> None:
+        self.bus = bus
+        self._experiment, self._settings = config.experiment, config.optimizer
+        self._lockstep = config.lockstep
+        self._modes = config.modes()
+        self._clock = clock
+        variables = config.variables()
+        books = {m.name: Codebook(variables, m.inputs, m.outputs) for m in config.model}
+        self._models = _CurrentModels(books)
+        self._required: dict[str, int] = {}
+        self._cycle: _Cycle | None = None
+        self._next = 0
+        self._commands: dict[int, messages.Command] = {}
+        self._feedback: dict[int, messages.Feedback] = {}
+        self._unacknowledged: dict[int, tuple[messages.Pair, float]] = {}
+        self._finishing_s: float | None = None
+        self._finished = False
+        self._gave_up: dict[str, int] = {}
+        self._model_inbox = bus.subscriber(keys.CURRENT_MODEL)
+        self._perceptions = bus.subscriber(keys.PERCEPTION)
+        self._command_inbox = bus.subscriber(keys.COMMAND)
+        self._feedback_inbox = bus.subscriber(keys.FEEDBACK)
+        self._stored = bus.subscriber(keys.PAIR_STORED)
+        self._actions = bus.publisher(keys.ACTION)
+        self._pairs = bus.publisher(keys.PAIR)
+        self._reports = bus.publisher(keys.ITERATION)
+        self._timings = bus.publisher(keys.TIMING)
+        self._end = bus.publisher(keys.FINISHED)
+
+    def step(self) -> bool:
+        """Take what has come, then bring the cycle as far as it goes."""
+        self._receive()
+        self._resend_pairs()
+        if self._finished:
+            return False
+        if self._finishing_s is not None:
+            return self._finish()
+        if self._cycle is None:
+            return False
+        if self._cycle.choice is None:
+            return self._act(self._cycle)
+        if self._cycle.outcome is None:
+            return self._resend_action(self._cycle)
+        return self._conclude(self._cycle)
+
+    def _receive(self) -> None:
+        while (model := self._model_inbox.take()) is not None:
+            if (reason := self._models.take(model)) is not None:
+                self.bus.refusals.add(keys.CURRENT_MODEL.path, reason)
+        while (command := self._command_inbox.take()) is not None:
+            if command.iteration >= self._next:
+                self._commands.setdefault(command.iteration, command)
+        while (feedback := self._feedback_inbox.take()) is not None:
+            if feedback.iteration >= self._next:
+                self._feedback.setdefault(feedback.iteration, feedback)
+        while (stored := self._stored.take()) is not None:
+            self._unacknowledged.pop(stored.iteration, None)
+            self._required = stored.versions
+        if (perception := self._perceptions.take()) is not None:
+            self._perceive(perception)
+
+    def _perceive(self, perception: messages.Perception) -> None:
+        now = self._clock()
+        if self._cycle is None:
+            if perception.iteration >= self._next:
+                self._next = perception.iteration
+                self._cycle = _Cycle(perception, now)
+        elif self._cycle.choice is not None and perception.iteration == self._next + 1:
+            self._cycle.outcome, self._cycle.outcome_s = perception, now
+
+    def _act(self, cycle: _Cycle) -> bool:
+        """Choose and send the action once command and, in lockstep, models are there or their time is up."""
+        iteration = cycle.perception.iteration
+        if iteration >= self._experiment.iterations:
+            self._finishing_s = self._clock()
+            return True
+        waited_s = self._clock() - cycle.started_s
+        if not (self._command_is_in(iteration, waited_s) and self._models_are_in(waited_s)):
+            return False
+        command = self._commands.get(iteration)
+        cycle.note = command.note if command else None
+        cycle.models, cycle.versions = dict(self._models.usable), dict(self._models.versions)
+        cycle.choice = choose(
+            self._modes,
+            cycle.models,
+            gather(before=cycle.perception.reading, note=cycle.note),
+            self._settings.actions,
+            streams.generator(self._experiment.seed, "optimizer", iteration),
+            forced_exploration=iteration < self._settings.random_iterations,
+        )
+        cycle.acted_s = cycle.sent_s = self._clock()
+        self._send_action(cycle)
+        return True
+
+    def _command_is_in(self, iteration: int, waited_s: float) -> bool:
+        if iteration in self._commands or not self._teacher_is_there():
+            return True
+        return self._time_is_up("command", waited_s, self._settings.command_patience_s)
+
+    def _models_are_in(self, waited_s: float) -> bool:
+        if not self._lockstep:
+            return True
+        if not self._unacknowledged and all(
+            self._models.versions.get(name, 0) >= version for name, version in self._required.items()
+        ):
+            return True
+        return self._time_is_up("models", waited_s, self._settings.lockstep_patience_s)
+
+    def _teacher_is_there(self) -> bool:
+        return any(name.startswith(f"{TEACHER_ROLE}/") for name in self.bus.alive())
+
+    def _time_is_up(self, what: str, waited_s: float, patience_s: float) -> bool:
+        if waited_s < patience_s:
+            return False
+        self._gave_up[what] = self._gave_up.get(what, 0) + 1
+        log.warning("waited in vain; going on without", what=what, iteration=self._next, patience_s=patience_s)
+        return True
+
+    def _send_action(self, cycle: _Cycle) -> None:
+        assert cycle.choice is not None
+        self._actions.put(
+            messages.Action(
+                iteration=cycle.perception.iteration,
+                action=cycle.choice.action,
+                valid_for_s=self._settings.action_valid_s,
+            )
+        )
+
+    def _resend_action(self, cycle: _Cycle) -> bool:
+        if self._clock() - cycle.sent_s >= self._settings.resend_s:
+            cycle.sent_s = self._clock()
+            self._send_action(cycle)
+        return False
+
+    def _conclude(self, cycle: _Cycle) -> bool:
+        """Form the pair once the feedback is in or its time is up; begin the next iteration."""
+        iteration = cycle.perception.iteration
+        assert cycle.choice is not None
+        assert cycle.outcome is not None
+        waited_s = self._clock() - cycle.outcome_s
+        if (
+            cycle.note is not None
+            and iteration not in self._feedback
+            and self._teacher_is_there()
+            and not self._time_is_up("feedback", waited_s, self._settings.feedback_patience_s)
+        ):
+            return False
+        feedback = self._feedback.get(iteration)
+        pair = messages.Pair(
+            iteration=iteration,
+            before=cycle.perception.reading,
+            note=cycle.note,
+            action=cycle.choice.action,
+            after=cycle.outcome.outcome,
+            feedback=feedback.value if feedback else None,
+            versions=cycle.versions,
+        )
+        self._unacknowledged[iteration] = pair, self._clock()
+        self._pairs.put(pair)
+        self._report(cycle, pair)
+        self._next = iteration + 1
+        self._commands = {i: c for i, c in self._commands.items() if i >= self._next}
+        self._feedback = {i: f for i, f in self._feedback.items() if i >= self._next}
+        self._cycle = _Cycle(cycle.outcome, cycle.outcome_s)
+        return True
+
+    def _report(self, cycle: _Cycle, pair: messages.Pair) -> None:
+        assert cycle.choice is not None
+        assert cycle.outcome is not None
+        choice = cycle.choice
+        self._reports.put(
+            messages.IterationReport(
+                iteration=pair.iteration,
+                mode=choice.mode,
+                action=choice.action,
+                explored=choice.explored,
+                predicted=choice.predicted,
+                note=pair.note,
+                feedback=pair.feedback,
+                event=cycle.outcome.event,
+                prequential=_prequential(cycle.models, pair),
+                versions=pair.versions,
+            )
+        )
+        self._timings.put(
+            messages.Timing(
+                iteration=pair.iteration,
+                perception_to_action_s=cycle.acted_s - cycle.started_s,
+                cycle_s=self._clock() - cycle.started_s,
+            )
+        )
+
+    def _resend_pairs(self) -> None:
+        now = self._clock()
+        for iteration, (pair, sent_s) in self._unacknowledged.items():
+            if now - sent_s >= self._settings.resend_s:
+                self._unacknowledged[iteration] = pair, now
+                self._pairs.put(pair)
+
+    def _finish(self) -> bool:
+        assert self._finishing_s is not None
+        waited_s = self._clock() - self._finishing_s
+        if waited_s < ENDING_S and (self._unacknowledged or not self._models_are_in(waited_s)):
+            return False
+        if self._unacknowledged:
+            log.error("pairs without acknowledgement at the end", iterations=sorted(self._unacknowledged))
+        self._end.put(messages.Finished(iterations=self._experiment.iterations))
+        self._finished = True
+        return True
+
+    def values(self) -> dict[str, float]:
+        """Iteration, pairs not acknowledged yet, and how often a wait was given up."""
+        gave_up = {f"gave_up.{what}": float(count) for what, count in self._gave_up.items()}
+        waiting = float(len(self._unacknowledged))
+        return {"iteration": float(self._next), "unacknowledged": waiting, **gave_up}
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+
+def _prequential(models: dict[str, tuple[Codebook, Network]], pair: messages.Pair) -> dict[str, float]:
+    """Return each model's mean squared error on a pair that it has not learnt yet."""
+    facts: Facts = gather(
+        before=pair.before, after=pair.after, note=pair.note, action=pair.action, feedback=pair.feedback
+    )
+    errors = {}
+    for name, (codebook, network) in models.items():
+        inputs, targets = codebook.input_rows(facts), codebook.target_rows(facts)
+        if inputs is not None and targets is not None:
+            errors[name] = float(np.square(network.predict(inputs) - targets).mean())
+    return errors

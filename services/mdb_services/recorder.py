@@ -1,0 +1,130 @@
+"""The recorder: every message of a run into its run folder, as it came. Only listens.
+
+Owns `run.mcap`, written without chunks and flushed as it goes, so that what was recorded can be read after
+a kill. `read_log` is the other half: the messages of a run, decoded; figures and comparisons use it alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import structlog
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+from mcap.writer import Writer
+
+from mdb_protocol import keys
+from mdb_protocol.bus import Bus, Raw, read
+from mdb_protocol.codec import VERSION
+from mdb_protocol.errors import DecodeError, MdbError
+from mdb_protocol.keys import Key
+from mdb_protocol.messages import Message
+
+log = structlog.get_logger()
+
+ROLE = "recorder"
+LOG_PATTERN = "run*.mcap"
+FLUSH_S = 0.5
+
+
+class Recorder:
+    """See the module's docstring."""
+
+    role, instance = ROLE, "log"
+
+    def __init__(self, bus: Bus, run: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin the next segment of the run's log; a restarted recorder never writes into an old one."""
+        self.bus = bus
+        self._clock = clock
+        self._path = next_segment(run)
+        self._file: IO[bytes] = self._path.open("xb")
+        self._writer = Writer(self._file, use_chunking=False)
+        self._writer.start(profile="mdb", library=f"mdb protocol {VERSION}")
+        self._channels: dict[tuple[str, str], int] = {}
+        self._count = self._bytes = 0
+        self._flushed_s = clock()
+        self._tap = bus.tap()
+
+    def step(self) -> bool:
+        """Write everything that has come."""
+        moved = False
+        while (raw := self._tap.take()) is not None:
+            self._write(raw)
+            moved = True
+        if self._clock() - self._flushed_s >= FLUSH_S:
+            self._file.flush()
+            self._flushed_s = self._clock()
+        return moved
+
+    def _write(self, raw: Raw) -> None:
+        channel = self._channels.get((raw.key, raw.encoding))
+        if channel is None:
+            schema = self._writer.register_schema(raw.encoding.rpartition(";")[2], "mdb", b"")
+            metadata = {"encoding": raw.encoding}
+            channel = self._writer.register_channel(raw.key, "msgpack", schema, metadata)
+            self._channels[raw.key, raw.encoding] = channel
+        now = time.time_ns()
+        self._writer.add_message(channel, now, raw.payload, now, sequence=self._count)
+        self._count += 1
+        self._bytes += len(raw.payload)
+
+    def values(self) -> dict[str, float]:
+        """Messages and payload bytes written."""
+        return {"messages": float(self._count), "bytes": float(self._bytes)}
+
+    def close(self) -> None:
+        """Write what is still there and finish the file."""
+        self.step()
+        self._writer.finish()
+        self._file.close()
+
+
+class Recorded(NamedTuple):
+    """One message of a run log: its row of the key table, the full key, the message, when it was recorded."""
+
+    row: Key
+    key: str
+    message: Message
+    time_s: float
+
+
+def next_segment(run: Path) -> Path:
+    """Return the path of the next log file of a run: run.mcap, run-1.mcap, ..."""
+    number = len(list(run.glob(LOG_PATTERN)))
+    return run / (f"run-{number}.mcap" if number else "run.mcap")
+
+
+def read_log(run: Path) -> Iterator[Recorded]:
+    """Yield the messages of all segments of a run in the order recorded; what does not decode is left out.
+
+    Reads logs that a kill cut short. Raises MdbError when the folder holds no log.
+    """
+    segments = sorted(run.glob(LOG_PATTERN), key=lambda path: (len(path.name), path.name))
+    if not segments:
+        raise MdbError(f"no run log ({LOG_PATTERN}) in {run}; give the folder that 'mdb up' named at its end")
+    for segment in segments:
+        yield from _read_segment(segment)
+
+
+def _read_segment(path: Path) -> Iterator[Recorded]:
+    rows: dict[str, tuple[str, Key | None]] = {}
+    with path.open("rb") as file:
+        reader = NonSeekingReader(file)
+        try:
+            for _, channel, sample in reader.iter_messages(log_time_order=False):
+                if channel.topic not in rows:
+                    brain = channel.topic.split("/")[1]
+                    rows[channel.topic] = brain, keys.find(brain, channel.topic)
+                brain, row = rows[channel.topic]
+                if row is None:
+                    continue
+                raw = Raw(channel.topic, sample.data, channel.metadata["encoding"])
+                try:
+                    yield Recorded(row, raw.key, read(row, brain, raw), sample.log_time / 1e9)
+                except DecodeError:
+                    continue
+        except (McapError, EOFError) as error:
+            log.info("log ends early", path=str(path), reason=str(error) or type(error).__name__)

@@ -1,0 +1,125 @@
+"""The shell around every service: one thread that waits, answers queries, steps, and stops when told.
+
+A service is a plain class: its bus comes from outside, `step()` does what has come and returns, `values()`
+are its own figures for the status queryable. The same class runs here over Zenoh, one to a process, and
+side by side over the in-memory bus (`run_inline`).
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import Protocol
+
+import structlog
+
+from mdb_protocol import keys
+from mdb_protocol.bus import Bus
+from mdb_protocol.messages import Status
+
+log = structlog.get_logger()
+
+WAIT_S = 0.1
+"""Longest sleep of the loop: how late a stop or a timeout may be noticed."""
+FAILURES_IN_A_ROW = 5
+"""A step that fails this often one after the other ends the process: its supervisor starts it afresh."""
+
+
+class Service(Protocol):
+    """What every service of the brain is."""
+
+    role: str
+    instance: str
+    bus: Bus
+
+    def step(self) -> bool:
+        """Do what can be done now, without waiting; return whether anything was done."""
+
+    def values(self) -> dict[str, float]:
+        """Return figures for the status queryable."""
+
+    def close(self) -> None:
+        """Free what the service holds; the bus is closed by its owner."""
+
+
+class Stopper:
+    """Remembers that SIGTERM or SIGINT came, or that the parent process is gone."""
+
+    def __init__(self, *, with_parent: bool = False) -> None:
+        self._told = False
+        self._parent = os.getppid() if with_parent else None
+
+    def install(self) -> None:
+        """Take over the signals; the handler only sets a flag, so it can never block."""
+        signal.signal(signal.SIGTERM, self._on_signal)
+        signal.signal(signal.SIGINT, self._on_signal)
+
+    def _on_signal(self, _signum: int, _frame: FrameType | None) -> None:
+        self._told = True
+
+    def __call__(self) -> bool:
+        """Return whether to stop."""
+        return self._told or (self._parent is not None and os.getppid() != self._parent)
+
+
+def announce(service: Service) -> None:
+    """Answer status queries and declare the liveliness token, last: it means ready."""
+    started = time.monotonic()
+
+    def status() -> Status:
+        return Status(
+            role=service.role,
+            instance=service.instance,
+            pid=os.getpid(),
+            uptime_s=time.monotonic() - started,
+            values=service.values(),
+            refused=dict(service.bus.refusals.counts),
+        )
+
+    service.bus.queryable(keys.STATUS, status, role=service.role, instance=service.instance)
+    service.bus.token(service.role, service.instance)
+
+
+def run(service: Service, stop: Callable[[], bool]) -> None:
+    """Run a service in this thread until told to stop; a failing step is logged and tried again.
+
+    Re-raises the error when steps fail `FAILURES_IN_A_ROW` times, so that the supervisor restarts it.
+    """
+    announce(service)
+    log.info("ready", role=service.role, instance=service.instance)
+    failures = 0
+    try:
+        while not stop():
+            service.bus.wait(WAIT_S)
+            service.bus.serve()
+            try:
+                while service.step() and not stop():
+                    service.bus.serve()
+                failures = 0
+            except Exception:
+                failures += 1
+                log.exception("step failed", role=service.role, failures=failures)
+                if failures >= FAILURES_IN_A_ROW:
+                    raise
+    finally:
+        service.close()
+        service.bus.close()
+        log.info("stopped", role=service.role, instance=service.instance)
+
+
+def run_inline(services: Sequence[Service], stop: Callable[[], bool]) -> None:
+    """Step all services of a brain in turn, in this thread, until `stop` or nothing moves any more."""
+    for service in services:
+        announce(service)
+    try:
+        while not stop():
+            moved = [service.step() for service in services]
+            if not any(moved):
+                time.sleep(0.001)
+    finally:
+        for service in services:
+            service.close()
+            service.bus.close()

@@ -1,0 +1,58 @@
+"""The whole brain in one process over the in-memory bus: for sweeps, tests and machines without a router.
+
+The same services with the same steps; in lockstep the run log is, value by value, that of the processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from mdb_protocol import keys
+from mdb_protocol.messages import IterationReport
+from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_services.evolver import Evolver
+from mdb_services.memory_store import MemoryStore, PairFile
+from mdb_services.optimizer import Optimizer
+from mdb_services.recorder import Recorder
+from mdb_services.service import Service, run_inline
+from mdb_sim.experiment import Experiment
+
+MEMORY_FILE = "memory.sqlite"
+EXPERIMENT_FILE = "experiment.toml"
+
+
+def run_experiment(
+    experiment: Experiment,
+    run: Path,
+    *,
+    on_iteration: Callable[[IterationReport], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> None:
+    """Run an experiment to its end, or until `stop`, into a new run folder."""
+    run.mkdir(parents=True, exist_ok=True)
+    experiment.write(run / EXPERIMENT_FILE)
+    brain = experiment.brain
+    fabric = Fabric()
+
+    def bus() -> MemoryBus:
+        return MemoryBus(fabric, brain.experiment.brain)
+
+    services: list[Service] = [Recorder(bus(), run), MemoryStore(bus(), brain, PairFile(run / MEMORY_FILE))]
+    services += [Evolver(bus(), brain, model.name) for model in brain.model]
+    services.append(experiment.robot_service(bus()))
+    if experiment.teacher is not None:
+        services.append(experiment.teacher_service(bus()))
+    services.append(Optimizer(bus(), brain))
+    watcher = bus()
+    finished = watcher.subscriber(keys.FINISHED)
+    reports = watcher.subscriber(keys.ITERATION)
+
+    def over() -> bool:
+        while (report := reports.take()) is not None:
+            if on_iteration is not None:
+                on_iteration(report)
+        return finished.take() is not None or stop()
+
+    run_inline(services, over)
+    watcher.close()
