@@ -96,7 +96,10 @@ class KinematicRobot(ArenaRobot):
         return distances_m, np.abs(np.where(through_x, directions[:, 0], directions[:, 1]))
 
     def _cast_object(self, origins_m: Array, directions: Array) -> tuple[Array, Array]:
-        """Ray against circle: the hit is half a chord before the foot; cos(incidence) is that over the radius."""
+        """Ray against circle: the hit is half a chord before the foot of the centre's perpendicular.
+
+        The incidence angle's cosine is that half chord over the radius.
+        """
         radius_m = self.config.object_radius_m
         to_centre = np.asarray(self._object_m) - origins_m
         foot_m = np.einsum("ij,ij->i", to_centre, directions)

@@ -27,7 +27,7 @@ NOMINAL_RADIUS_M = 0.15
 _UNEXPECTED_ECHO = 8.0
 """Cost, as a negative logarithm of likelihood, of an echo that a bearing cannot explain (ours)."""
 _UNCERTAINTY_M = 0.005
-_CANDIDATES_RAD = np.radians(np.arange(-40.0, 40.5, 1.0))
+_CANDIDATES_RAD = np.radians(np.arange(-40.0, 41.0, 2.0))
 
 _PLACES = [(float(x), float(y)) for x, y, _ in TRANSDUCERS]
 _AXES = [(math.cos(heading), math.sin(heading)) for *_, heading in TRANSDUCERS]
@@ -109,11 +109,11 @@ def _centre(points: list[tuple[float, float]]) -> tuple[float, float]:
 def _likeliest(
     ranges_m: Array, members: list[int], guess: tuple[float, float], config: RobotConfig
 ) -> tuple[float, float]:
-    """The likeliest distance and bearing near a first guess, from the cluster's ranges and from who was silent.
+    """The likeliest distance and bearing near a first guess, from who heard what and who was silent.
 
     A cone of 30 degrees tells little by itself; which transducers hear an object and which do not tells more.
-    The bearing is the mean over candidates, weighted by how well each explains what was heard; the distance is
-    mended by what the ranges differ from those that the candidates expect, weighted alike.
+    The bearing is the mean over candidates, weighted by how well each explains what was heard; the distance
+    is mended by how the ranges differ from those that the candidates expect, weighted alike.
     """
     distance_m, about_rad = guess
     bearings = about_rad + _CANDIDATES_RAD

@@ -1,8 +1,8 @@
 """One run as arrays by iteration, read from its run log and its experiment file alone.
 
-Owns `RunRecord` and its reading; what is made of it is in `measures` and `figures`. It must not write, and must
-not use anything of a run but `run*.mcap` and `experiment.toml`. Of messages that came twice (a service sends
-again what was not acknowledged) the first counts.
+Owns `RunRecord` and its reading; what is made of it is in `measures` and `figures`. It must not write, and
+must not use anything of a run but `run*.mcap` and `experiment.toml`. Of messages that came twice (a service
+sends again what was not acknowledged) the first counts.
 """
 
 from __future__ import annotations
@@ -60,10 +60,11 @@ class Episode:
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:
-    """A run by iteration: arrays have shape (iterations,) and hold nan, `ABSENT` or "" where the log has nothing.
+    """A run by iteration: arrays have shape (iterations,) and nan, `ABSENT` or "" where the log has nothing.
 
-    `captures` has shape (iterations + 1,): captures after so many actions, so that `captures[b] - captures[a]` are
-    those of iterations a to b. Times are in seconds, `feedback` in [-1, 1], `prequential` in scaled units squared.
+    `captures` has shape (iterations + 1,): captures after so many actions, so `captures[b] - captures[a]` are
+    those of iterations a to b. Times are in seconds, `feedback` in [-1, 1], `prequential` in scaled units
+    squared.
     """
 
     run: Path
@@ -103,7 +104,7 @@ class RunRecord:
 
     @cached_property
     def communication(self) -> str | None:
-        """Name of the model that foresees the feedback to a note (paper, figure 3 top); None: there is none."""
+        """Name of the model that foresees the feedback to a note (paper, figure 3 top), if there is one."""
         for model in self.experiment.brain.model:
             if model.role == "world" and "note" in model.inputs and "feedback" in model.outputs:
                 return model.name
@@ -112,7 +113,8 @@ class RunRecord:
     @property
     def commanded(self) -> Flags:
         """Iterations in which the brain heard a note."""
-        return self.note != ABSENT
+        heard: Flags = self.note != ABSENT
+        return heard
 
     @property
     def taught(self) -> tuple[Span, ...]:
@@ -140,7 +142,7 @@ class RunRecord:
                 places = []
 
     def _is_whole(self, start: int) -> bool:
-        """Whether the scene from which an episode began is a placement: the first, or one that an event brought."""
+        """Whether an episode began where the object was placed: at the first scene, or after an event."""
         scene = self.scenes.get(start)
         return scene is not None and (scene.action is None or scene.event != "none")
 
@@ -189,7 +191,7 @@ def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> Run
         run=run,
         experiment=experiment,
         spans=_spans(experiment, found.phases, n, heard=any(r.note is not None for r in reports.values())),
-        reported=_column(n, {i: True for i in reports}, False, np.bool_),
+        reported=_column(n, dict.fromkeys(reports, True), False, np.bool_),
         action=_column(n, {i: r.action for i, r in reports.items()}, ABSENT, np.int64),
         note=_column(n, {i: r.note for i, r in reports.items()}, ABSENT, np.int64),
         feedback=_column(n, {i: r.feedback for i, r in reports.items()}, np.nan, np.float64),
@@ -217,7 +219,9 @@ def _column(n: int, values: Mapping[int, Any], absent: Any, dtype: Any) -> NDArr
     return column
 
 
-def _by_model(n: int, values: Mapping[int, Mapping[str, float]], absent: Any, dtype: Any) -> dict[str, NDArray[Any]]:
+def _by_model(
+    n: int, values: Mapping[int, Mapping[str, float]], absent: Any, dtype: Any
+) -> dict[str, NDArray[Any]]:
     names = sorted({name for by_name in values.values() for name in by_name})
     return {name: _column(n, {i: v.get(name) for i, v in values.items()}, absent, dtype) for name in names}
 

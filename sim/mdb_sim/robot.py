@@ -197,7 +197,12 @@ def make_robot(body: str, config: RobotConfig | None = None, *, gui: bool = Fals
     factory = _factory(body)
     if gui and body != "pybullet":
         raise RobotError(f"body={body!r} has no window; drop the gui option or use body='pybullet'")
-    robot = factory(config or RobotConfig(), gui=True) if gui else factory(config or RobotConfig())
+    try:
+        robot = factory(config or RobotConfig(), gui=True) if gui else factory(config or RobotConfig())
+    except TypeError as error:
+        raise RobotError(
+            f"body={body!r} could not be made: {error}; expected a factory that takes a RobotConfig"
+        ) from error
     wanted = ("actions", "placement", "reset", "sense", "act", "restore", "close")
     missing = [name for name in wanted if not hasattr(type(robot), name) and name not in vars(robot)]
     if missing:

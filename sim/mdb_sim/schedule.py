@@ -5,14 +5,19 @@ Owns the `[teacher]` section. Pure: what is wanted and how an action is judged i
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 from msgspec import Meta
 
 from mdb_services.config import Name, Section
+from mdb_services.mechanism import streams
 from mdb_sim.robot import Placement, RobotConfig
-from mdb_sim.teacher import Language, graded_feedback, wanted_action
+from mdb_sim.teacher import FEEDBACKS, FeedbackKind, Language, TeacherError, make_language, wanted_action
+
+RANDOM = "random"
+"""A language drawn from the run's seed, unlike those of the other teachers."""
 
 
 class PhaseSection(Section, frozen=True, kw_only=True):
@@ -22,11 +27,74 @@ class PhaseSection(Section, frozen=True, kw_only=True):
     name: Annotated[str, Meta(min_length=1, max_length=100)]
     teacher: Name | None = None
     language: str | None = None
-    """"ordered", "reversed", "paper", or "random": a permutation drawn from the run's seed and the teacher."""
+    """"random", or any language of `teacher.make_language`; the same teacher keeps it in later phases."""
 
 
 class TeacherSection(Section, frozen=True, kw_only=True):
     """`[teacher]`: how the scripted teacher judges, and its phases."""
 
-    feedback: Literal["graded", "binary"] = "graded"
+    feedback: FeedbackKind = "graded"
     phase: Annotated[tuple[PhaseSection, ...], Meta(min_length=1)]
+
+
+@dataclass(frozen=True)
+class Phase:
+    """From iteration `start` on `teacher` teaches in `language`; None and None: nobody does."""
+
+    start: int
+    name: str
+    teacher: str | None
+    language: Language | None
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The phases in order, and how their teachers see and judge."""
+
+    phases: tuple[Phase, ...]
+    turns_rad: tuple[float, ...]
+    feedback: FeedbackKind
+
+    def at(self, iteration: int) -> Phase:
+        """Return the phase of an iteration."""
+        return self.phases[bisect_right([phase.start for phase in self.phases], iteration) - 1]
+
+    def wanted(self, placement: Placement) -> int:
+        """Return the action that a teacher commands here."""
+        return wanted_action(placement, self.turns_rad)
+
+    def judge(self, placement: Placement, action: int) -> float:
+        """Return the feedback for an action done at this placement."""
+        return FEEDBACKS[self.feedback](self.wanted(placement), action, self.turns_rad)
+
+
+def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Schedule:
+    """Return the schedule of a `[teacher]` section; TeacherError when its phases make none."""
+    starts = [phase.start for phase in section.phase]
+    if starts[0] != 0 or starts != sorted(set(starts)):
+        raise TeacherError(f"phases start at {starts}; expected 0 first and then growing iterations")
+    languages: dict[str, Language] = {}
+    phases = []
+    for phase in section.phase:
+        if phase.teacher is not None and phase.language is not None:
+            taken = [language.notes for name, language in languages.items() if name != phase.teacher]
+            languages[phase.teacher] = _language(phase.language, phase.teacher, seed, world, taken)
+        if phase.teacher is not None and phase.teacher not in languages:
+            raise TeacherError(f"phase {phase.name!r}: teacher {phase.teacher!r} needs a language")
+        language = languages[phase.teacher] if phase.teacher else None
+        phases.append(Phase(phase.start, phase.name, phase.teacher, language))
+    return Schedule(tuple(phases), world.turns_rad, section.feedback)
+
+
+def _language(
+    name: str, teacher: str, seed: int, world: RobotConfig, taken: list[tuple[int, ...]]
+) -> Language:
+    if name != RANDOM:
+        return make_language(name, world.turns_deg)
+    counter = 0
+    while True:
+        key = streams.key(seed, f"language/{teacher}/{counter}")
+        language = make_language(f"random:{key}", world.turns_deg)
+        if language.notes not in taken:
+            return language
+        counter += 1

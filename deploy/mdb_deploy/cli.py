@@ -1,0 +1,254 @@
+"""The command line `mdb`: see `mdb --help`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import structlog
+
+from mdb_protocol.errors import MdbError
+from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
+
+EPILOG = """\
+first steps:
+  mdb up                                  the paper's experiment, in processes over Zenoh, with figures
+  mdb up --pace lockstep --seed 3         the same, repeatable value by value
+  mdb up --inline --iterations 600        in one process, without a router
+  mdb up my.toml --set evolution.population=400 --set robot.body=kinematic
+  mdb status                              who is alive, and how each process does
+  mdb plot RUN                            the figures again, from the run's log alone
+"""
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; return the exit status."""
+    arguments = _parser().parse_args(argv)
+    structlog.configure(
+        wrapper_class=structlog.make_filtering_bound_logger("info"),
+        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+        processors=[
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="%H:%M:%S.%f", utc=False),
+            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
+        ],
+    )
+    try:
+        status: int = arguments.command(arguments)
+    except MdbError as error:
+        sys.stderr.write(f"mdb: {error}\n")
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="mdb",
+        description="A robot learns from a teacher: the Multilevel Darwinist Brain over Eclipse Zenoh.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_up(commands)
+    _add_run(commands)
+    _add_small(commands)
+    return parser
+
+
+Commands = argparse._SubParsersAction  # noqa: SLF001 - argparse has no public name for it
+
+
+def _add_experiment(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "experiment", nargs="?", default="paper", help="experiment file, or the name of a shipped one (paper)"
+    )
+    parser.add_argument("--pace", choices=["concurrent", "lockstep"], help="override the file's pace")
+    parser.add_argument("--seed", type=int, help="override the file's seed")
+    parser.add_argument("--iterations", type=int, help="override the file's number of iterations")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="override any setting")
+
+
+def _add_up(commands: Commands[argparse.ArgumentParser]) -> None:
+    up = commands.add_parser("up", help="run an experiment to its figures", allow_abbrev=False)
+    _add_experiment(up)
+    up.add_argument("--inline", action="store_true", help="everything in this process, in lockstep")
+    up.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder is made (runs)")
+    up.add_argument("--listen", default=DEFAULT_ENDPOINT, help="the router's endpoint; port 0: any free one")
+    up.add_argument("--gui", action="store_true", help="show the PyBullet window")
+    up.add_argument("--no-plot", action="store_true", help="no figures at the end")
+    up.set_defaults(command=_up)
+
+
+def _add_run(commands: Commands[argparse.ArgumentParser]) -> None:
+    run = commands.add_parser("run", help="run one service (compose does this)", allow_abbrev=False)
+    run.add_argument("service", help="router, recorder, memory, evolver, optimizer, robot or teacher")
+    run.add_argument("--run", type=Path, help="run folder with experiment.toml")
+    run.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
+    run.add_argument("--listen", help="router: its endpoint; port 0: any free one")
+    run.add_argument("--model", help="evolver: the model it evolves")
+    run.add_argument("--gui", action="store_true", help="robot: show the PyBullet window")
+    run.add_argument("--with-parent", action="store_true", help="stop when the parent process is gone")
+    run.set_defaults(command=_run)
+    prepare = commands.add_parser("prepare", help="write the resolved experiment into a run folder")
+    _add_experiment(prepare)
+    prepare.add_argument("--run", type=Path, required=True, help="run folder, made if it is not there")
+    prepare.set_defaults(command=_prepare)
+
+
+def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
+    test = commands.add_parser("test", help="run the tests; further words go to pytest")
+    test.add_argument("words", nargs=argparse.REMAINDER)
+    test.set_defaults(command=_test)
+    keys = commands.add_parser("keys", help="print the key table")
+    keys.set_defaults(command=_keys)
+    plot = commands.add_parser("plot", help="draw the figures of a run from its log alone")
+    plot.add_argument("run", type=Path, nargs="+", help="run folder; several: one figure with a confidence band")
+    plot.add_argument("--out", type=Path, help="where the figures go (the run folder)")
+    plot.set_defaults(command=_plot)
+    status = commands.add_parser("status", help="who is alive, and how each process does")
+    health = commands.add_parser("health", help="exit status 0 when ROLE/INSTANCE (or the router) is ready")
+    health.add_argument("name", help="router, or ROLE/INSTANCE as in 'mdb status'")
+    for parser in (status, health):
+        parser.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
+        parser.add_argument("--brain", default="pioneer", help="the brain's name")
+    status.set_defaults(command=_status)
+    health.set_defaults(command=_health)
+    acceptance = commands.add_parser("acceptance", help="many seeds, judged by the acceptance table")
+    acceptance.add_argument("--seeds", default="1-5", help="as in 1-5 or 1,4,9")
+    acceptance.add_argument("--out", type=Path, default=Path("runs/acceptance"), help="where the runs go")
+    acceptance.add_argument("--workers", type=int, default=2, help="runs at the same time")
+    _add_experiment(acceptance)
+    acceptance.set_defaults(command=_acceptance)
+    compare = commands.add_parser("compare-bodies", help="PyBullet and its kinematic twin side by side")
+    compare.set_defaults(command=_compare)
+
+
+def experiment_path(name: str) -> Path:
+    """Return the path of an experiment file, or of a shipped one by its name."""
+    shipped = EXPERIMENTS / f"{name}.toml"
+    return shipped if shipped.exists() and not Path(name).exists() else Path(name)
+
+
+def overrides_of(arguments: argparse.Namespace) -> list[str]:
+    """Return the options that stand for settings as overrides, the explicit ones last."""
+    named = {"pace": arguments.pace, "seed": arguments.seed, "iterations": arguments.iterations}
+    given = [f"experiment.{name}={value}" for name, value in named.items() if value is not None]
+    return given + list(arguments.set)
+
+
+def _up(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from mdb_deploy.progress import Progress
+    from mdb_deploy.up import UpOptions, new_run_folder, up_inline, up_processes
+    from mdb_sim.experiment import Experiment
+
+    overrides = overrides_of(arguments)
+    if arguments.inline:
+        overrides.append("experiment.pace=lockstep")
+    experiment = Experiment.read(experiment_path(arguments.experiment), overrides)
+    section = experiment.brain.experiment
+    run = new_run_folder(arguments.runs.resolve(), section.name, section.seed)
+    options = UpOptions(run, arguments.listen, arguments.gui)
+    console = Console(stderr=False)
+    console.print(f"{section.name}: {section.iterations} iterations, {section.pace}, seed {section.seed}")
+    run_it = up_inline if arguments.inline else up_processes
+    status = run_it(experiment, options, Progress(console, section.iterations))
+    if not arguments.no_plot:
+        console.print("drawing the figures")
+        _draw([run], None)
+    console.print(f"results: {run}", soft_wrap=True)
+    return status
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.processes import run_router, run_service
+    from mdb_services.service import Stopper
+
+    stop = Stopper(with_parent=arguments.with_parent)
+    stop.install()
+    if arguments.service == "router":
+        run_router(arguments.run, arguments.listen, stop)
+        return 0
+    if arguments.run is None:
+        raise MdbError(f"mdb run {arguments.service} needs --run FOLDER; 'mdb prepare --run FOLDER' makes one")
+    run_service(arguments.service, arguments.run, arguments.connect, arguments.model, arguments.gui, stop)
+    return 0
+
+
+def _prepare(arguments: argparse.Namespace) -> int:
+    from mdb_sim.experiment import Experiment
+
+    experiment = Experiment.read(experiment_path(arguments.experiment), overrides_of(arguments))
+    arguments.run.mkdir(parents=True, exist_ok=True)
+    experiment.write(arguments.run / "experiment.toml")
+    return 0
+
+
+def _test(arguments: argparse.Namespace) -> int:
+    try:
+        import pytest
+    except ModuleNotFoundError as error:
+        raise MdbError("the tests need the extra 'test': pip install -e '.[test]', or ./deploy/compose test") from error
+    root = Path(__file__).parents[2]
+    return int(pytest.main(["--rootdir", str(root), "-c", str(root / "pyproject.toml"), str(root / "tests"), *arguments.words]))
+
+
+def _keys(_: argparse.Namespace) -> int:
+    from mdb_protocol.keys import table
+
+    sys.stdout.write(table() + "\n")
+    return 0
+
+
+def _plot(arguments: argparse.Namespace) -> int:
+    for path in _draw(arguments.run, arguments.out):
+        sys.stdout.write(f"{path}\n")
+    return 0
+
+
+def _draw(runs: list[Path], out: Path | None) -> list[Path]:
+    from mdb_sim.figures import draw, draw_band
+
+    return draw(runs[0], out) if len(runs) == 1 else draw_band(runs, out or Path())
+
+
+def _status(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.status import show_status
+
+    return show_status(arguments.brain, arguments.connect)
+
+
+def _health(arguments: argparse.Namespace) -> int:
+    from mdb_protocol.zenoh_bus import ZenohBus
+
+    with ZenohBus(arguments.brain, arguments.connect, connect_timeout_s=1.0) as bus:
+        return 0 if arguments.name == "router" or arguments.name in bus.alive() else 1
+
+
+def _acceptance(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.acceptance import accept, seeds_of
+
+    return accept(
+        experiment_path(arguments.experiment),
+        seeds_of(arguments.seeds),
+        overrides_of(arguments),
+        arguments.out,
+        arguments.workers,
+    )
+
+
+def _compare(_: argparse.Namespace) -> int:
+    from mdb_sim.twins import compare_bodies
+
+    sys.stdout.write(f"{compare_bodies()}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

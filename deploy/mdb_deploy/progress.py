@@ -1,0 +1,102 @@
+"""What the user sees of a run: one display with iteration, phase, captures, errors and obedience.
+
+On a terminal it is drawn in place; elsewhere a line is written at every tenth of the run.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+from rich.text import Text
+
+from mdb_protocol.messages import CurrentModel, IterationReport, Phase
+
+RECENT = 40
+LINES = 10
+
+
+class Progress:
+    """A context manager that shows reports as they come."""
+
+    def __init__(self, console: Console, iterations: int) -> None:
+        self._console, self._iterations = console, iterations
+        self._obeyed: deque[bool] = deque(maxlen=RECENT)
+        self._errors: dict[str, float] = {}
+        self._prequential: dict[str, deque[float]] = {}
+        self._captures = self._done = self._lines = 0
+        self._mode = self._phase = ""
+        self._ready: list[str] = []
+        self._bar = Bar(
+            TextColumn("iteration"),
+            BarColumn(bar_width=None),
+            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._task = self._bar.add_task("run", total=iterations)
+        self._live = Live(get_renderable=self._render, console=console, refresh_per_second=8, transient=False)
+
+    def __enter__(self) -> Progress:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._console.is_terminal:
+            self._live.refresh()
+            self._live.stop()
+
+    def ready(self, name: str) -> None:
+        """A process is ready."""
+        self._ready.append(name)
+        if not self._console.is_terminal:
+            self._console.print(f"ready: {name}")
+
+    def phase(self, phase: Phase) -> None:
+        """A phase has begun."""
+        self._phase = phase.name
+
+    def model(self, model: CurrentModel) -> None:
+        """A model has learnt."""
+        self._errors[model.model] = model.error
+
+    def report(self, report: IterationReport) -> None:
+        """An iteration is done."""
+        self._done = report.iteration + 1
+        self._mode = report.mode
+        self._captures += report.event == "capture"
+        if report.feedback is not None:
+            self._obeyed.append(report.feedback == 1.0)
+        for name, error in report.prequential.items():
+            self._prequential.setdefault(name, deque(maxlen=RECENT)).append(error)
+        self._bar.update(self._task, completed=self._done)
+        if not self._console.is_terminal and self._done * LINES // self._iterations > self._lines:
+            self._lines = self._done * LINES // self._iterations
+            self._console.print(f"iteration {self._done}/{self._iterations}  {self._words()}")
+
+    def _words(self) -> str:
+        obedience = f"{sum(self._obeyed) / len(self._obeyed):.0%}" if self._obeyed else "-"
+        errors = "  ".join(
+            f"{name} {sum(recent) / len(recent):.3f}" for name, recent in sorted(self._prequential.items())
+        )
+        phase = f"{self._phase}: " if self._phase else ""
+        return f"{phase}{self._mode}  captures {self._captures}  obedience {obedience}  error before learning: {errors}"
+
+    def _render(self) -> Group:
+        if not self._done:
+            return Group(Text(f"starting: {', '.join(self._ready) or '...'}"))
+        memory = "  ".join(f"{name} {error:.3f}" for name, error in sorted(self._errors.items()))
+        obedience = f"{sum(self._obeyed) / len(self._obeyed):.0%}" if self._obeyed else "-"
+        before = "  ".join(f"{n} {sum(r) / len(r):.3f}" for n, r in sorted(self._prequential.items()))
+        return Group(
+            self._bar,
+            Text.assemble(("phase      ", "bold"), f"{self._phase or '-'}   acting on: {self._mode}"),
+            Text.assemble(("captures   ", "bold"), f"{self._captures}   obedience (last {RECENT}): {obedience}"),
+            Text.assemble(("error      ", "bold"), f"before learning: {before}"),
+            Text.assemble(("           ", "bold"), f"over the memory: {memory or '-'}"),
+        )
