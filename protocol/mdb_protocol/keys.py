@@ -68,11 +68,9 @@ class Key:
 PERCEPTION = Key("perception", m.Perception, "robot", Delivery.LATEST, "what the robot senses")
 SCENE = Key("scene", m.Scene, "robot", Delivery.LATEST, "what a bystander sees: for teachers and viewers")
 ACTION = Key("action", m.Action, "action optimizer", Delivery.LATEST, "the current action")
-COMMAND = Key(
-    "teacher/{teacher}/command", m.Command, "that teacher", Delivery.RELIABLE, "a note, or silence"
-)
+COMMAND = Key("teacher/{teacher}/command", m.Command, "that teacher", Delivery.LATCHED, "a note, or silence")
 FEEDBACK = Key(
-    "teacher/{teacher}/feedback", m.Feedback, "that teacher", Delivery.RELIABLE, "reward or punishment"
+    "teacher/{teacher}/feedback", m.Feedback, "that teacher", Delivery.LATCHED, "reward or punishment"
 )
 PHASE = Key("phase", m.Phase, "scripted teacher", Delivery.LATCHED, "the phase of the experiment")
 PAIR = Key(

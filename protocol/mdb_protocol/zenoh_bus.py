@@ -63,7 +63,6 @@ class ZenohBus(Bus):
         key = row.at(self.brain, **parameters)
         if row.message is None or "*" in key:
             raise BusError(f"cannot publish on {key}: it is not a concrete key with a payload")
-        keeps_last = row.delivery in (Delivery.LATEST, Delivery.LATCHED)
         drops = row.delivery is Delivery.LATEST and not self._lossless
         publisher = ext.declare_advanced_publisher(
             self._session,
@@ -71,7 +70,7 @@ class ZenohBus(Bus):
             encoding=codec.encoding_of(row.message),
             congestion_control=zenoh.CongestionControl.DROP if drops else zenoh.CongestionControl.BLOCK,
             express=True,
-            cache=ext.CacheConfig(1 if keeps_last else RELIABLE_CACHE),
+            cache=ext.CacheConfig(1 if row.delivery is Delivery.LATEST else RELIABLE_CACHE),
             sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
             publisher_detection=True,
         )

@@ -1,8 +1,9 @@
 """What a run log says of how well the robot learnt: errors told apart, obedience, captures, durations.
 
-Owns the definitions of all measures; pure functions of a `record.RunRecord`. Errors are mean squared errors in
-the models' scaled units, where feedback lies in [-1, 1]; 0.1 is what "10 %" means (simulation notes, Errors,
-told apart). A measure is nan where the log has no data for it, and inf where something never happened.
+Owns the definitions of all measures; pure functions of a `record.RunRecord`. Errors are mean squared errors
+in the models' scaled units, where feedback lies in [-1, 1]; 0.1 is what "10 %" means (simulation notes,
+Errors, told apart). A measure is nan where the log has no data for it, and inf where what is measured never
+happened.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ AVERAGED = 40
 THRESHOLD = 0.1
 """The error below which the paper calls the rewards very accurately predicted (section 3: 10 %)."""
 SETTLED = 0.4
-"""Share of a phase, at its end, in which obedience is judged: 300-500 and 1300-1500 on the paper's schedule."""
+"""Share of a phase, at its end, in which obedience is judged: 300-500 and 1300-1500 in the paper."""
 EVERY = 5
 """Iterations from one evaluation on all command-action pairs to the next."""
 
@@ -39,7 +40,7 @@ def prequential_error(record: RunRecord) -> Floats:
 
 
 def running_mean(record: RunRecord, values: Floats, *, full: bool = False) -> Floats:
-    """Return the mean of the last `AVERAGED` values of commanded iterations (iterations,), anew in each phase.
+    """Return the mean of the last `AVERAGED` values that are not nan (iterations,), anew in each phase.
 
     `full`: nan until there are that many; otherwise the mean of those that there are.
     """
@@ -87,7 +88,7 @@ def memory_error(record: RunRecord) -> Floats:
 
 
 class PairJudge:
-    """The error of communication models over every note and action, by what a language's teacher would say."""
+    """The error of communication models over every note and action, by what the teacher would say."""
 
     def __init__(
         self, codebook: Codebook, language: Language, turns: tuple[float, ...], kind: FeedbackKind
@@ -116,8 +117,8 @@ class PairJudge:
 def pair_error(record: RunRecord, every: int = EVERY) -> Floats:
     """Return the error of the communication model in use over all command-action pairs (iterations,).
 
-    Of the language that is present, every so many iterations and in the last of each phase; elsewhere nan, and
-    also without a teacher or with one whose language the experiment does not tell.
+    Of the language that is present, every so many iterations and in the last of each phase; elsewhere nan,
+    and also without a teacher or with one whose language the experiment does not tell.
     """
     errors = np.full(record.iterations, np.nan)
     for span in record.taught:
@@ -202,7 +203,7 @@ class Latency:
 
 
 def latency(record: RunRecord) -> Latency:
-    """Return the time from a perception to the action that answers it (waits for teacher and models included)."""
+    """Return the time from a perception to its action, waits for teacher and models included."""
     known = record.perception_to_action_s[np.isfinite(record.perception_to_action_s)]
     if not len(known):
         return Latency(np.nan, np.nan, np.nan, np.nan)

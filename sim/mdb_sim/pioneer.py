@@ -8,6 +8,8 @@ own physics client, so that several robots in one process do not mix.
 from __future__ import annotations
 
 import math
+import os
+import sys
 import tempfile
 from pathlib import Path
 
@@ -96,10 +98,15 @@ class PioneerRobot(ArenaRobot):
 
     def __init__(self, config: RobotConfig, *, gui: bool = False) -> None:
         super().__init__(config)
+        if gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+            # Asked for a window without one, pybullet ends the whole process.
+            raise RobotError(
+                "gui=True needs a display, and DISPLAY is not set; set it or drop the gui option"
+            )
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         if self._client < 0:
             raise RobotError(
-                f"pybullet gave no physics client (gui={gui}); a window needs a display: drop the gui option"
+                f"pybullet gave no physics client (gui={gui}); a process can hold one window only"
             )
         self._step_s = 1.0 / config.physics_hz
         self._build_world()

@@ -60,7 +60,7 @@ def until(bus: Bus, get: Callable[[], object]) -> object:
     return value
 
 
-def settle(reader: Bus, writer: Bus, row: Key = keys.FEEDBACK) -> None:
+def settle(reader: Bus, writer: Bus) -> None:
     """Return once the reader's declarations have reached the writer: a marker has come through."""
     marker = reader.subscriber(keys.FINISHED)
     publisher = writer.publisher(keys.FINISHED)
@@ -142,14 +142,14 @@ def test_late_joiner_gets_the_last_of_a_kept_key(make_bus: MakeBus, row: Key) ->
 
 def test_late_joiner_of_a_reliable_key_gets_only_what_comes(make_bus: MakeBus) -> None:
     writer = make_bus()
-    publisher = writer.publisher(keys.FEEDBACK, teacher="anna")
-    publisher.put(feedback(1))
+    publisher = writer.publisher(keys.PAIR_STORED)
+    publisher.put(messages.PairStored(iteration=1, versions={}))
     late = make_bus()
-    inbox = late.subscriber(keys.FEEDBACK)
+    inbox = late.subscriber(keys.PAIR_STORED)
     settle(late, writer)
-    publisher.put(feedback(2))
+    publisher.put(messages.PairStored(iteration=2, versions={}))
     message = until(late, inbox.take)
-    assert isinstance(message, messages.Feedback)
+    assert isinstance(message, messages.PairStored)
     assert message.iteration == 2
 
 

@@ -83,3 +83,11 @@ def test_without_pybullet_the_error_names_the_extra_and_the_other_body(monkeypat
 def test_only_pybullet_has_a_window():
     with pytest.raises(RobotError, match="has no window"):
         make_robot("kinematic", gui=True)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems need no DISPLAY")
+def test_a_window_without_a_display_is_refused_and_the_process_lives_on(monkeypatch):
+    pytest.importorskip("pybullet")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(RobotError, match="DISPLAY is not set"):
+        make_robot("pybullet", gui=True)
