@@ -124,6 +124,8 @@ def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
     acceptance.add_argument("--workers", type=int, default=2, help="runs at the same time")
     _add_experiment(acceptance)
     acceptance.set_defaults(command=_acceptance)
+    warm_up = commands.add_parser("warm-up", help="compile the evolvers' kernels (the first start does it too)")
+    warm_up.set_defaults(command=_warm_up)
     compare = commands.add_parser("compare-bodies", help="PyBullet and its kinematic twin side by side")
     compare.set_defaults(command=_compare)
 
@@ -241,6 +243,13 @@ def _acceptance(arguments: argparse.Namespace) -> int:
         arguments.out,
         arguments.workers,
     )
+
+
+def _warm_up(_: argparse.Namespace) -> int:
+    from mdb_services.evolver import compile_kernels
+
+    compile_kernels()
+    return 0
 
 
 def _compare(_: argparse.Namespace) -> int:

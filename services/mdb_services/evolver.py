@@ -17,7 +17,7 @@ from mdb_protocol.errors import QueryError
 from mdb_services.config import BrainConfig
 from mdb_services.mechanism.encoding import Codebook
 from mdb_services.mechanism.network import Network, Shape
-from mdb_services.mechanism.pbga import PromoterGA
+from mdb_services.mechanism.pbga import EvolutionConfig, PromoterGA
 from mdb_services.mechanism.stm import Change, MemoryMirror, VersionGapError
 
 log = structlog.get_logger()
@@ -25,6 +25,13 @@ log = structlog.get_logger()
 ROLE = "evolver"
 QUERY_S = 2.0
 """Bound on asking the memory store; without an answer the next step asks again."""
+
+
+def compile_kernels() -> None:
+    """Compile the evolution once (and cache it), so that no first memory version waits for a compiler."""
+    rows = np.zeros((2, 1), np.float32)
+    config = EvolutionConfig(population=4, elite=1, generations=1)
+    PromoterGA(Shape(1, (1,), 1), config, 0, "warm-up").learn(rows, rows, version=0)
 
 
 class Evolver:
@@ -40,6 +47,7 @@ class Evolver:
         self._evolution = config.evolution_of(section)
         shape = Shape(codebook.width, section.hidden, len(section.outputs))
         self._learner = PromoterGA(shape, self._evolution, config.experiment.seed, f"{ROLE}/{model}")
+        compile_kernels()
         self._lockstep = config.lockstep
         self._mirror = MemoryMirror(section.capacity, shape.inputs, shape.outputs)
         self._learnt_version = 0

@@ -15,7 +15,7 @@ import numpy as np
 
 from mdb_protocol.errors import MdbError
 from mdb_sim import measures
-from mdb_sim.record import Floats, RunRecord, Span, read_record
+from mdb_sim.record import Floats, RunRecord, read_record
 from mdb_sim.trajectories import draw_trajectories
 
 if TYPE_CHECKING:
@@ -42,8 +42,8 @@ BLUE, ORANGE, GREEN, INK, MUTED = "#0072B2", "#D55E00", "#009E73", "#222222", "#
 """Colours that colour-blind readers tell apart (Okabe and Ito)."""
 TEACHER_SHADES = ("#d9e8f3", "#fbe6d3", "#d9efe6", "#f3e0ec")
 """One background a teacher, in the order of appearance; without a teacher it is white."""
-ERROR_TOP = 1.0
-"""Upper end of the error axes: guessing 0 all the time makes at most this error."""
+ERROR_TOP = (0.3, 2.0)
+"""Least and greatest upper end of an error axis; above 1 the model is worse than saying 0 to everything."""
 RESAMPLES = 2000
 """Bootstrap samples of the seeds behind a 95 % band."""
 
@@ -59,7 +59,7 @@ def draw(run: Path, out: Path | None = None) -> list[Path]:
     figures: tuple[tuple[str, Callable[[RunRecord, Figure], None], tuple[float, float]], ...] = (
         ("figure4", _draw_errors, (9.0, 7.2)),
         ("figure5", _draw_captures, (9.0, 4.6)),
-        ("figure6", draw_trajectories, (10.0, 5.6)),
+        ("figure6", draw_trajectories, (10.0, 5.5)),
     )
     return [
         path
@@ -128,10 +128,11 @@ def _draw_errors(record: RunRecord, figure: Figure) -> None:
         values = measure(record)
         for x, y in _pieces(record, values):
             axes.plot(x, y, color=colour, linewidth=1.5)
+        _scale(axes, values)
         if not np.isfinite(values).any():
             note(axes, "no data in this log")
     raw = measures.prequential_error(record)
-    panels[0].plot(raw, ".", color=BLUE, markersize=2.5, alpha=0.25, markeredgewidth=0, clip_on=True)
+    panels[0].plot(raw, ".", color=BLUE, markersize=4, alpha=0.35, markeredgewidth=0)
     figure.suptitle("Error of the communication model (MSE, feedback in ±1)", x=0.01, ha="left", fontsize=12)
 
 
@@ -143,11 +144,16 @@ def _error_panels(record: RunRecord, figure: Figure) -> list[Axes]:
         axes.text(
             1.005, measures.THRESHOLD, "10 %", transform=axes.get_yaxis_transform(), va="center", color=INK
         )
-        axes.set_ylim(0, ERROR_TOP)
         axes.set_title(title, pad=20 if axes is panels[0] else 5)
         axes.set_ylabel("MSE")
     panels[-1].set_xlabel("Iteration")
     return panels
+
+
+def _scale(axes: Axes, *curves: Floats) -> None:
+    """Let the error axis end a little above the curves."""
+    highest = max((float(np.nanmax(curve)) for curve in curves if np.isfinite(curve).any()), default=0.0)
+    axes.set_ylim(0, min(max(1.08 * highest, ERROR_TOP[0]), ERROR_TOP[1]))
 
 
 def _pieces(record: RunRecord, values: Floats) -> list[tuple[Floats, Floats]]:
@@ -164,8 +170,7 @@ def _draw_captures(record: RunRecord, figure: Figure) -> None:
     """Figure 5: captures of the object against iterations, with the phases."""
     axes = _capture_axes(record, figure)
     axes.plot(np.arange(record.iterations + 1), record.captures, color=BLUE, linewidth=2)
-    for span in record.spans:
-        _count_in_phase(axes, record, span)
+    _count(axes, [record])
     if not record.captures[-1]:
         note(axes, "no captures in this log")
     axes.set_ylim(0, max(10.0, 1.08 * float(record.captures[-1])))
@@ -173,28 +178,31 @@ def _draw_captures(record: RunRecord, figure: Figure) -> None:
 
 def _capture_axes(record: RunRecord, figure: Figure) -> Axes:
     axes: Axes = figure.subplots()
-    _shade(axes, record, labelled=True)
-    axes.set_title("Object captures", pad=20, fontsize=12)
+    _shade(axes, record, labelled=True, above=1.07)
+    axes.set_title("Object captures", pad=36, fontsize=12)
     axes.set_xlabel("Iteration")
     axes.set_ylabel("Captures since the beginning")
     stop = min(record.random_iterations, _end(record))
     if stop > 0:
         axes.axvspan(0, stop, facecolor="none", edgecolor="#9bb4c6", hatch="///", linewidth=0)
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
         axes.text(
             stop / 2, 0.96, "random\nexploration", transform=axes.get_xaxis_transform(),
-            ha="center", va="top", fontsize=9, color=INK, bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5},
+            ha="center", va="top", fontsize=9, color=INK, bbox=box,
         )  # fmt: skip
     return axes
 
 
-def _count_in_phase(axes: Axes, record: RunRecord, span: Span) -> None:
-    """Write the captures of a phase at the foot of its part."""
-    start, stop = measures.capture_window(record, span)
-    if (reached := min(stop, record.iterations)) <= start:
-        return
-    count = int(record.captures[reached] - record.captures[start])
-    text = f"{count} in {reached - start}"
-    axes.text((start + stop) / 2, 0.03, text, transform=axes.get_xaxis_transform(), ha="center", color=INK)
+def _count(axes: Axes, records: Sequence[RunRecord]) -> None:
+    """Write above each phase the (mean) captures in it; only where all logs hold the whole phase."""
+    for span in records[0].spans:
+        start, stop = measures.capture_window(records[0], span)
+        count = float(np.mean([measures.captures(record, (start, stop)) for record in records]))
+        if np.isfinite(count) and stop > start:
+            axes.text(
+                (span.start + span.stop) / 2, 1.02, f"{count:.4g} in {start}–{stop}",
+                transform=axes.get_xaxis_transform(), ha="center", va="bottom", fontsize=9, color=MUTED,
+            )  # fmt: skip
 
 
 def _draw_errors_band(records: Sequence[RunRecord], figure: Figure) -> None:
@@ -206,6 +214,7 @@ def _draw_errors_band(records: Sequence[RunRecord], figure: Figure) -> None:
             for x, y in _pieces(record, values):
                 axes.plot(x, y, color=colour, linewidth=0.6, alpha=0.35)
         mean, low, high = band(found)
+        _scale(axes, *found)
         for x, y in _pieces(longest, mean):
             places = x.astype(np.int64)
             axes.fill_between(x, low[places], high[places], color=colour, alpha=0.25, linewidth=0)
@@ -218,13 +227,14 @@ def _draw_errors_band(records: Sequence[RunRecord], figure: Figure) -> None:
 def _draw_captures_band(records: Sequence[RunRecord], figure: Figure) -> None:
     longest = max(records, key=lambda record: record.iterations)
     axes = _capture_axes(longest, figure)
-    axes.set_title(f"Object captures {_seeds(records)}", pad=20, fontsize=12)
+    axes.set_title(f"Object captures {_seeds(records)}", pad=36, fontsize=12)
     found = [record.captures.astype(np.float64) for record in records]
     for values in found:
         axes.plot(values, color=BLUE, linewidth=0.6, alpha=0.4)
     mean, low, high = band(found)
     axes.fill_between(np.arange(len(mean)), low, high, color=BLUE, alpha=0.25, linewidth=0)
     axes.plot(mean, color=BLUE, linewidth=2)
+    _count(axes, [longest, *(record for record in records if record is not longest)])
     axes.set_ylim(0, max(10.0, 1.08 * max(float(values[-1]) for values in found)))
 
 
@@ -256,7 +266,7 @@ def band(curves: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
     return mean, ends[0], ends[1]
 
 
-def _shade(axes: Axes, record: RunRecord, *, labelled: bool) -> None:
+def _shade(axes: Axes, record: RunRecord, *, labelled: bool, above: float = 1.02) -> None:
     """Mark the phases: the background of a teacher, a line at each beginning, names above."""
     teachers = list(dict.fromkeys(span.teacher for span in record.taught))
     for span in record.spans:
@@ -267,7 +277,7 @@ def _shade(axes: Axes, record: RunRecord, *, labelled: bool) -> None:
             axes.axvline(span.start, color=MUTED, linewidth=0.8)
         if labelled:
             axes.text(
-                (span.start + span.stop) / 2, 1.02, span.name, transform=axes.get_xaxis_transform(),
+                (span.start + span.stop) / 2, above, span.name, transform=axes.get_xaxis_transform(),
                 ha="center", va="bottom", fontsize=9.5, color=INK,
             )  # fmt: skip
     axes.set_xlim(0, _end(record))

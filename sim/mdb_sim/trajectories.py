@@ -23,7 +23,7 @@ SIDES = 4
 """Sectors around the robot, each with at most one episode."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8A4F7D")
 """One a sector; told apart by colour-blind readers (after Okabe and Ito)."""
-MARGIN_M = 0.25
+MARGIN_M = 0.05
 ARROW_M = 0.13
 """Length of the arrow that shows the heading after each step."""
 SMALLEST_M = 1.6
@@ -39,7 +39,7 @@ def draw_trajectories(record: RunRecord, figure: Figure) -> None:
         shown = typical(episodes)
         for side, episode in shown:
             half_m = max(half_m, _draw_episode(axes, record, episode, COLOURS[side % len(COLOURS)]))
-        axes.plot(0, 0, "o", color="#222222", markersize=6, zorder=5)
+        axes.plot(0, 0, "o", color="#222222", markersize=4.5, zorder=5)
         _caption(axes, title, shown, episodes)
     for axes in panels:
         axes.set_xlim(-half_m, half_m)
@@ -102,18 +102,18 @@ def _draw_episode(axes: Axes, record: RunRecord, episode: Episode, colour: str) 
     reach_m = world.object_radius_m + world.capture_distance_m
     axes.add_patch(Circle(centre, world.object_radius_m, facecolor=colour, edgecolor="none", alpha=0.55))
     axes.add_patch(Circle(centre, reach_m, fill=False, edgecolor=colour, linestyle=":", linewidth=0.9))
-    return float(max(np.abs([*x, *y]).max(), np.abs(centre).max() + world.object_radius_m)) + MARGIN_M
+    return float(max(np.abs([*x, *y]).max(), np.abs(centre).max() + reach_m)) + MARGIN_M
 
 
 def _caption(
     axes: Axes, title: str, shown: Sequence[tuple[int, Episode]], episodes: Sequence[Episode]
 ) -> None:
-    axes.set_title(title, fontsize=12)
+    axes.set_title(title, fontsize=12, pad=20)
     if not episodes:
         text = "no captures in this log"
         axes.text(0.5, 0.6, text, transform=axes.transAxes, ha="center", color="#767676", fontsize=11)
         return
     median = np.median([episode.steps for episode in episodes])
     steps = ", ".join(str(episode.steps) for _, episode in shown)
-    text = f"{steps} steps; median of all {len(episodes)} captures: {median:g}"
-    axes.text(0.02, 0.02, text, transform=axes.transAxes, fontsize=9, color="#222222")
+    text = f"{steps} steps; median of all {len(episodes)} captures: {median:g} steps"
+    axes.text(0, 1.015, text, transform=axes.transAxes, fontsize=9, color="#767676")
