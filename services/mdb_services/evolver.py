@@ -30,7 +30,7 @@ QUERY_S = 2.0
 def compile_kernels() -> None:
     """Compile the evolution once (and cache it), so that no first memory version waits for a compiler."""
     rows = np.zeros((2, 1), np.float32)
-    config = EvolutionConfig(population=4, elite=1, generations=1)
+    config = EvolutionConfig(generations=1)
     PromoterGA(Shape(1, (1,), 1), config, 0, "warm-up").learn(rows, rows, version=0)
 
 

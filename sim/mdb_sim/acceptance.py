@@ -25,6 +25,8 @@ PAPER_CAPTURES: tuple[Window, ...] = ((200, 500), (500, 1000), (1000, 1500), (15
 class AcceptanceRow:
     """One seed: a value for each taught phase (first three) or for each phase (captures), in order."""
 
+    run: str
+    """Name of the run folder."""
     seed: int
     iterations: int
     below: tuple[float, ...]
@@ -43,6 +45,7 @@ def acceptance_row(record: RunRecord) -> AcceptanceRow:
     obedience_windows = tuple(measures.obedience_window(span) for span in record.taught)
     capture_windows = tuple(measures.capture_window(record, span) for span in record.spans)
     return AcceptanceRow(
+        run=record.run.name,
         seed=record.seed,
         iterations=record.iterations,
         below=tuple(measures.iterations_below(record, span) for span in record.taught),
@@ -187,7 +190,7 @@ def judge(rows: Iterable[AcceptanceRow]) -> list[Criterion]:
 
 def acceptance_table(rows: Iterable[AcceptanceRow]) -> str:
     """Return Markdown: every seed's values, then the criteria with mean, median, worst, and what was met."""
-    rows = sorted(rows, key=lambda row: row.seed)
+    rows = sorted(rows, key=lambda row: (row.seed, row.run))
     parts = [_seeds(rows), _criteria(judge(rows))]
     if any((row.obedience_windows, row.capture_windows) != (PAPER_OBEDIENCE, PAPER_CAPTURES) for row in rows):
         parts.append(
@@ -202,6 +205,7 @@ def _seeds(rows: Sequence[AcceptanceRow]) -> str:
     most = max(rows, key=lambda row: len(row.capture_windows))
     taught = range(1, len(most.obedience_windows) + 1)
     head = [
+        "run",
         "seed",
         "iterations",
         *(f"iterations to MSE < 10 %, teacher {i}" for i in taught),
@@ -209,9 +213,9 @@ def _seeds(rows: Sequence[AcceptanceRow]) -> str:
         *(f"obedience {a}–{b}" for a, b in most.obedience_windows),
         *(f"captures {a}–{b}" for a, b in most.capture_windows),
     ]
-    lines = [_line(head), _line(["--:"] * len(head))]
+    lines = [_line(head), _line(["---", *["--:"] * (len(head) - 1)])]
     for row in rows:
-        cells = [str(row.seed), str(row.iterations)]
+        cells = [row.run, str(row.seed), str(row.iterations)]
         cells += _cells(row.below, len(taught), _number)
         cells += _cells(row.pair_errors, len(taught), _percent)
         cells += _cells(row.obedience, len(taught), _percent)

@@ -169,7 +169,9 @@ def _pieces(record: RunRecord, values: Floats) -> list[tuple[Floats, Floats]]:
 def _draw_captures(record: RunRecord, figure: Figure) -> None:
     """Figure 5: captures of the object against iterations, with the phases."""
     axes = _capture_axes(record, figure)
-    axes.plot(np.arange(record.iterations + 1), record.captures, color=BLUE, linewidth=2)
+    axes.plot(
+        np.arange(record.iterations + 1), record.captures, color=BLUE, linewidth=2, drawstyle="steps-post"
+    )
     _count(axes, [record])
     if not record.captures[-1]:
         note(axes, "no captures in this log")
@@ -187,8 +189,8 @@ def _capture_axes(record: RunRecord, figure: Figure) -> Axes:
         axes.axvspan(0, stop, facecolor="none", edgecolor="#9bb4c6", hatch="///", linewidth=0)
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
         axes.text(
-            stop / 2, 0.96, "random\nexploration", transform=axes.get_xaxis_transform(),
-            ha="center", va="top", fontsize=9, color=INK, bbox=box,
+            0.008, 0.96, "random\nexploration", transform=axes.transAxes,
+            ha="left", va="top", fontsize=9, color=INK, bbox=box,
         )  # fmt: skip
     return axes
 
@@ -241,29 +243,24 @@ def _draw_captures_band(records: Sequence[RunRecord], figure: Figure) -> None:
 def _seeds(records: Sequence[RunRecord]) -> str:
     if len(records) == 1:
         return f"(seed {records[0].seed} only: no band)"
-    return f"(mean of {len(records)} seeds, 95 % confidence band, each seed thin)"
+    noun = "seed" if len({record.seed for record in records}) == len(records) else "run"
+    return f"(mean of {len(records)} {noun}s, 95 % confidence band, each {noun} thin)"
 
 
 def band(curves: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
     """Return the mean of curves and both ends of its 95 % bootstrap interval: (n,) for the longest curve's n.
 
-    Resamples whole curves, always in the same way. A curve counts where it is not nan; nan where none does.
+    Resamples whole curves, always in the same way. nan where any curve is nan or has ended: a mean of fewer
+    would jump where a run leaves it.
     """
-    n = max(len(curve) for curve in curves)
-    values = np.full((len(curves), n), np.nan)
+    n, count = max(len(curve) for curve in curves), len(curves)
+    values = np.full((count, n), np.nan)
     for row, curve in zip(values, curves, strict=True):
         row[: len(curve)] = curve
-    known = np.isfinite(values)
-    filled = np.where(known, values, 0.0)
     rng = np.random.Generator(np.random.Philox(key=0))
-    draws = rng.multinomial(len(curves), np.full(len(curves), 1 / len(curves)), size=RESAMPLES)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = filled.sum(axis=0) / known.sum(axis=0)
-        means = (draws @ filled) / (draws @ known)
-    ends = np.full((2, n), np.nan)
-    places = known.any(axis=0)
-    ends[:, places] = np.nanpercentile(means[:, places], [2.5, 97.5], axis=0)
-    return mean, ends[0], ends[1]
+    means = rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES) @ values / count
+    low, high = np.percentile(means, [2.5, 97.5], axis=0)
+    return values.mean(axis=0), low, high
 
 
 def _shade(axes: Axes, record: RunRecord, *, labelled: bool, above: float = 1.02) -> None:

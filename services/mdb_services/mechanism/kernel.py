@@ -6,8 +6,10 @@ pairs and becomes vector instructions. A unit that is not expressed costs nothin
 machine gives the same bits each time.
 """
 
+# ruff: noqa: PLR0917 - compiled functions take arrays by position
+
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -19,8 +21,15 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # Sums may be reordered into vectors and fused; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-# A check for division by zero would keep loops from becoming vector instructions.
-compiled: Callable[[_Function], _Function] = njit(cache=True, fastmath=_FAST, error_model="numpy")
+
+
+def compiled(function: _Function) -> _Function:
+    """Compile at the first call and keep the result on disk; arrays are not checked for their bounds.
+
+    A check for division by zero would keep loops from becoming vector instructions, hence numpy's error model.
+    """
+    return cast(_Function, njit(cache=True, fastmath=_FAST, error_model="numpy")(function))
+
 
 BLOCK = 64
 """Pairs handled at once: four AVX-512 registers, and few enough for the first-level cache."""
@@ -33,8 +42,9 @@ TANH_ERROR = 5e-7
 
 # tanh(x) = x P(x^2) / Q(x^2): the rational minimax approximation for |x| < 7.9 that Eigen and XLA use.
 _LIMIT = np.float32(7.90531110763549805)
-_P0, _P1, _P2 = np.float32(4.89352455891786e-03), np.float32(6.37261928875436e-04), np.float32(1.48572235717979e-05)
-_P3, _P4 = np.float32(5.12229709037114e-08), np.float32(-8.60467152213735e-11)
+_P0, _P1 = np.float32(4.89352455891786e-03), np.float32(6.37261928875436e-04)
+_P2, _P3 = np.float32(1.48572235717979e-05), np.float32(5.12229709037114e-08)
+_P4 = np.float32(-8.60467152213735e-11)
 _P5, _P6 = np.float32(2.00018790482477e-13), np.float32(-2.76076847742355e-16)
 _Q0, _Q1 = np.float32(4.89352518554385e-03), np.float32(2.26843463243900e-03)
 _Q2, _Q3 = np.float32(1.18534705686654e-04), np.float32(1.19825839466702e-06)
@@ -109,7 +119,8 @@ def _weigh(packed: Any, start: Any, senders: Any, source: Any, sums: Any) -> Any
         w += np.uint64(GROUP)
         w0, w1, w2, w3 = packed[w], packed[w + _1], packed[w + _2], packed[w + _3]
         for b in range(BLOCK):
-            sums[b] += w0 * source[j, b] + w1 * source[j + _1, b] + w2 * source[j + _2, b] + w3 * source[j + _3, b]
+            first_two = w0 * source[j, b] + w1 * source[j + _1, b]
+            sums[b] += first_two + w2 * source[j + _2, b] + w3 * source[j + _3, b]
         j += np.uint64(GROUP)
     return w + np.uint64(GROUP)
 
@@ -133,7 +144,7 @@ def _sum_of_squares(values: Any) -> Any:
 
 
 @compiled
-def _genome_error(packed: Any, counts: Any, inputs: Any, targets: Any, pairs: int, work: Any) -> float:
+def _genome_error(packed: Any, counts: Any, inputs: Any, targets: Any, pairs: int, work: Any) -> Any:
     """Return the mean squared error of one packed genome over all pairs and outputs."""
     total = 0.0
     last = counts.size - 1

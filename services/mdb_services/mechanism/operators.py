@@ -12,6 +12,8 @@ Each offspring draws from a stream of its own, a function of (key, generation, o
 neither on threads nor on order.
 """
 
+# ruff: noqa: PLR0917 - compiled functions take arrays by position
+
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,10 +33,9 @@ class Settings(NamedTuple):
     """The numbers of `pbga.EvolutionConfig` that the compiled code needs."""
 
     elite: int
-    tournament: int
+    parent_share: float
     crossover_rate: float
     mutation_rate: float
-    shielded_rate: float
     structural_rate: float
     step_rate: float
     step_min: float
@@ -142,91 +143,87 @@ def mutate_structure(promoters: Any, sizes: Any, state: Any) -> None:
 
 
 @compiled
-def mutate_weights(child: Any, promoters: Any, sizes: Any, step: Any, settings: Settings, state: Any) -> None:
-    """Add normal numbers of the given step to weights: with one rate where they count, another where not."""
+def mutate_weights(
+    child: Any, promoters: Any, sizes: Any, rate: float, step: Any, limit: Any, state: Any
+) -> None:
+    """Choose each expressed unit with the given rate and add normal numbers of the given step to its weights.
+
+    Whatever does not count (units not expressed, weights from them) is left as it is: the memory of old tasks.
+    """
     offset, gene, sender_gene = 0, 0, 0
-    limit = np.float32(settings.weight_limit)
     for layer in range(1, sizes.size):
         before, last = sizes[layer - 1], layer == sizes.size - 1
         for unit in range(sizes[layer]):
-            receives = last or promoters[gene + unit]
-            for sender in range(before + 1):
-                sends = layer == 1 or sender == before or promoters[sender_gene + sender]
-                rate = settings.mutation_rate if receives and sends else settings.shielded_rate
-                if rate >= 1.0 or (rate > 0.0 and uniform(state) < rate):
-                    child[offset] = min(max(child[offset] + step * normal(state), -limit), limit)
-                offset += 1
+            if (last or promoters[gene + unit]) and uniform(state) < rate:
+                for sender in range(before + 1):
+                    if layer == 1 or sender == before or promoters[sender_gene + sender]:
+                        moved = child[offset + sender] + step * normal(state)
+                        child[offset + sender] = min(max(moved, -limit), limit)
+            offset += before + 1
         sender_gene = gene
         gene += sizes[layer]
 
 
 @compiled
-def _select(order: Any, tournament: int, state: Any) -> Any:
-    """Return the best of a few individuals drawn from the population, order being from best to worst."""
-    best = order.size
-    for _ in range(tournament):
-        best = min(best, below(state, order.size))
-    return order[best]
-
-
-@compiled
 def _breed(
-    weights: Any, promoters: Any, steps: Any, order: Any, sizes: Any, settings: Settings, state: Any,
-    child: Any, child_promoters: Any, shares: Any
+    population: Any, parents: Any, sizes: Any, settings: Settings, state: Any, child: Any,
+    child_promoters: Any, shares: Any
 ) -> Any:
-    """Write one offspring to child and child_promoters and return its mutation step."""
-    a = _select(order, settings.tournament, state)
-    step = steps[a]
-    if uniform(state) < settings.crossover_rate:
-        b = _select(order, settings.tournament, state)
-        cross_promoters(promoters[a], promoters[b], state, child_promoters, shares)
-        cross_weights(weights[a], weights[b], sizes, shares, state, child)
-        step = np.sqrt(steps[a] * steps[b])
-    else:
-        child[:] = weights[a]
-        child_promoters[:] = promoters[a]
-    step *= np.float32(np.exp(settings.step_rate * normal(state)))
+    """Write one offspring of two parents, or of one, to child and child_promoters; return its mutation step."""
+    weights, promoters, steps = population
+    a, b = parents[below(state, parents.size)], parents[below(state, parents.size)]
+    if uniform(state) >= settings.crossover_rate:
+        b = a
+    cross_promoters(promoters[a], promoters[b], state, child_promoters, shares)
+    cross_weights(weights[a], weights[b], sizes, shares, state, child)
+    step = np.sqrt(steps[a] * steps[b]) * np.exp(np.float32(settings.step_rate) * normal(state))
     step = np.float32(min(max(step, settings.step_min), settings.step_max))
     if uniform(state) < settings.structural_rate:
         mutate_structure(child_promoters, sizes, state)
-    mutate_weights(child, child_promoters, sizes, step, settings, state)
+    limit = np.float32(settings.weight_limit)
+    mutate_weights(child, child_promoters, sizes, settings.mutation_rate, step, limit, state)
     return step
 
 
 @compiled
-def _measure(weights: Any, promoters: Any, sizes: Any, data: Any, settings: Settings, errors: Any, fitness: Any) -> None:
+def _measure(
+    weights: Any, promoters: Any, sizes: Any, data: Any, penalty: float, errors: Any, fitness: Any
+) -> None:
     """Write errors and fitness (the lower the better): the error plus the penalty on squared weights."""
     inputs, targets, pairs = data
     population_errors(weights, promoters, sizes, inputs, targets, pairs, errors, fitness)
     for i in range(errors.size):
-        fitness[i] = errors[i] + settings.weight_penalty * fitness[i]
+        fitness[i] = errors[i] + penalty * fitness[i]
 
 
 @compiled
 def evolve(
-    weights: Any, promoters: Any, steps: Any, errors: Any, fitness: Any, sizes: Any, data: Any,
-    key: Any, first_generation: int, generations: int, settings: Settings
+    population: Any, errors: Any, fitness: Any, sizes: Any, data: Any, key: Any, generations: Any, settings: Settings
 ) -> None:
-    """Evolve the population in place for some generations on data (inputs, targets, pairs).
+    """Evolve the population (weights, promoters, steps) in place on data (inputs, targets, pairs).
 
-    First everyone is measured on the present memory: an old fitness says nothing once the memory changed.
-    In a generation the best few stay and offspring replace all others.
+    generations (first, end) count those of this memory. First everyone is measured on the present memory: an old
+    fitness says nothing once the memory changed. In a generation the best few stay, and offspring of the better
+    part of the population, all of whose members have the same chance, replace all others.
     """
-    _measure(weights, promoters, sizes, data, settings, errors, fitness)
-    elite = settings.elite
+    weights, promoters, steps = population
+    elite, penalty = settings.elite, settings.weight_penalty
+    parents = max(1, round(settings.parent_share * steps.size))
+    _measure(weights, promoters, sizes, data, penalty, errors, fitness)
     new_weights, new_promoters, new_steps = weights.copy(), promoters.copy(), steps.copy()
     shares, state = np.empty(promoters.shape[1], np.float32), np.empty(1, np.uint64)
-    for generation in range(first_generation, first_generation + generations):
+    for generation in range(generations[0], generations[1]):
         order = np.argsort(fitness, kind="mergesort")
         for place in range(elite):
             kept = order[place]
-            new_weights[place], new_promoters[place], new_steps[place] = weights[kept], promoters[kept], steps[kept]
+            new_weights[place], new_promoters[place] = weights[kept], promoters[kept]
+            new_steps[place] = steps[kept]
         for place in range(elite, steps.size):
             stream(key, generation, place, state)
             new_steps[place] = _breed(
-                weights, promoters, steps, order, sizes, settings, state,
+                population, order[:parents], sizes, settings, state,
                 new_weights[place], new_promoters[place], shares
             )
         errors[:elite], fitness[:elite] = errors[order[:elite]], fitness[order[:elite]]
         weights[:], promoters[:], steps[:] = new_weights, new_promoters, new_steps
-        _measure(weights[elite:], promoters[elite:], sizes, data, settings, errors[elite:], fitness[elite:])
+        _measure(weights[elite:], promoters[elite:], sizes, data, penalty, errors[elite:], fitness[elite:])

@@ -21,27 +21,25 @@ from mdb_services.mechanism.operators import Settings, evolve
 class EvolutionConfig:
     """How a population evolves; the defaults are ours, tuned in closed loop."""
 
-    population: int = 120
+    population: int = 200
     """Individuals."""
-    generations: int = 4
+    generations: int = 6
     """Generations for each version of the memory: few, so that learning is gradual (paper, section 2.3)."""
     elite: int = 2
     """The best individuals, which stay as they are; they too are measured anew on every memory."""
-    tournament: int = 5
-    """Individuals of which the best becomes a parent."""
+    parent_share: float = 0.2
+    """Share of the population, its best part, of which each offspring draws its parents with equal chances."""
     crossover_rate: float = 0.6
     """Share of offspring with two parents."""
-    mutation_rate: float = 1.0
-    """Probability that a weight which counts is mutated."""
-    shielded_rate: float = 0.0
-    """The same for a weight that no expressed unit receives or sends."""
-    structural_rate: float = 0.05
+    mutation_rate: float = 0.25
+    """Probability that the weights of an expressed unit are mutated, all of them together."""
+    structural_rate: float = 0.1
     """Share of offspring in which a promoter is flipped."""
     step_first: float = 0.3
     """Mutation step, a standard deviation, at the beginning."""
     step_rate: float = 0.3
     """Standard deviation of the logarithm of a step's change: steps adapt themselves."""
-    step_min: float = 0.005
+    step_min: float = 0.01
     """Smallest step, which keeps a population able to follow a change."""
     step_max: float = 1.0
     """Largest step."""
@@ -51,16 +49,16 @@ class EvolutionConfig:
     """Weights stay in plus or minus this."""
     weight_penalty: float = 0.0
     """Added to the fitness for each unit of the sum of squared weights that count."""
-    expressed_first: float = 0.5
+    expressed_first: float = 0.6
     """Share of hidden units expressed at the beginning."""
 
     def __post_init__(self) -> None:
         if not 0 < self.elite < self.population:
-            raise ValueError(f"elite is {self.elite}; expected 1 to {self.population - 1}, fewer than the population")
-        for name in ("generations", "tournament"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}; expected 1 or more")
-        for name in ("crossover_rate", "mutation_rate", "shielded_rate", "structural_rate", "expressed_first"):
+            raise ValueError(f"elite is {self.elite}; expected 1 to {self.population - 1}, fewer than population")
+        if self.generations < 1:
+            raise ValueError(f"generations is {self.generations}; expected 1 or more")
+        shares = ("parent_share", "crossover_rate", "mutation_rate", "structural_rate", "expressed_first")
+        for name in shares:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a share from 0 to 1")
         for name in ("step_rate", "weight_first", "weight_penalty"):
@@ -68,7 +66,7 @@ class EvolutionConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected zero or a positive number")
         if not 0 < self.step_min <= self.step_first <= self.step_max < np.inf:
             steps = (self.step_min, self.step_first, self.step_max)
-            raise ValueError(f"step_min, step_first, step_max are {steps}; expected them positive and in that order")
+            raise ValueError(f"step_min, step_first, step_max are {steps}; expected them positive, in that order")
         if not self.weight_first <= self.weight_limit <= 1000:
             raise ValueError(f"weight_limit is {self.weight_limit}; expected {self.weight_first} to 1000")
 
@@ -79,7 +77,7 @@ class Best:
 
     network: Network
     error: float
-    """Mean squared error over the memory, without penalty; NaN when the memory is empty."""
+    """Mean squared error of its predictions over the memory, without penalty; NaN when the memory is empty."""
     expressed: int
     """Hidden units of the network."""
 
@@ -100,6 +98,7 @@ class PromoterGA:
         self._steps = np.full(count, config.step_first, dtype=np.float32)
         self._errors, self._fitness = np.full(count, np.nan), np.full(count, np.nan)
         self._version, self._generation = -1, 0
+        self._settings = Settings(**{name: getattr(config, name) for name in Settings._fields})
 
     def learn(self, inputs: Floats, targets: Floats, *, version: int, generations: int | None = None) -> Best:
         """Evolve on a memory, inputs (n, inputs) and targets (n, outputs), and return the best.
@@ -115,12 +114,11 @@ class PromoterGA:
             count = self.config.generations if generations is None else generations
             data = (in_blocks(inputs), in_blocks(targets), len(inputs))
             key = np.uint64(streams.key(self._key, f"version {version}"))
-            evolve(
-                self._weights, self._promoters, self._steps, self._errors, self._fitness, self._sizes, data,
-                key, self._generation, count, self._settings(),
-            )
-            self._generation += count
-        return self._best()
+            span = (self._generation, self._generation + count)
+            population = (self._weights, self._promoters, self._steps)
+            evolve(population, self._errors, self._fitness, self._sizes, data, key, span, self._settings)
+            self._generation = span[1]
+        return self._best(inputs, targets)
 
     def seed(self, networks: Sequence[Network]) -> None:
         """Put networks into the population in the place of its worst.
@@ -170,22 +168,25 @@ class PromoterGA:
 
     def network(self, individual: int) -> Network:
         """Return the network that an individual expresses."""
-        layers, gene, senders = [], 0, np.ones(self.shape.inputs, dtype=bool)
-        for matrix in split_layers(self.shape.sizes, self._weights[individual]):
-            last = matrix.shape[0] == self.shape.outputs and gene == self.shape.units
-            promoters = np.ones(len(matrix)) if last else self._promoters[individual, gene : gene + len(matrix)]
-            expressed = promoters.astype(bool)
-            layers.append(matrix[expressed][:, np.append(senders, True)])
-            gene, senders = gene + len(matrix), expressed
-        return Network(layers)
+        promoters = self._promoters[individual].astype(bool)
+        ends = np.cumsum(self.shape.hidden)[:-1]
+        outputs = np.ones(self.shape.outputs, dtype=bool)
+        receivers = [*np.split(promoters, ends), outputs]
+        senders = [np.ones(self.shape.inputs, dtype=bool), *receivers[:-1]]
+        matrices = split_layers(self.shape.sizes, self._weights[individual])
+        return Network(
+            [
+                matrix[expressed][:, np.append(sending, True)]
+                for matrix, expressed, sending in zip(matrices, receivers, senders, strict=True)
+            ]
+        )
 
-    def _best(self) -> Best:
+    def _best(self, inputs: Floats, targets: Floats) -> Best:
         measured = not np.isnan(self._fitness).all()
-        place = int(np.nanargmin(self._fitness)) if measured else 0
-        return Best(self.network(place), float(self._errors[place]), int(self._promoters[place].sum()))
-
-    def _settings(self) -> Settings:
-        return Settings(**{name: getattr(self.config, name) for name in Settings._fields})
+        network = self.network(int(np.nanargmin(self._fitness)) if measured else 0)
+        misses = network.predict(inputs) - targets
+        error = float(np.mean(misses**2, dtype=np.float64)) if len(inputs) else float("nan")
+        return Best(network, error, network.expressed)
 
     def _check_memory(self, inputs: Floats, targets: Floats) -> None:
         for what, array, columns in (("inputs", inputs, self.shape.inputs), ("targets", targets, self.shape.outputs)):

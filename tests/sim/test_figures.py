@@ -1,0 +1,119 @@
+"""Figures are made from logs on disk, whole or short; looks are for eyes, contents are checked here."""
+
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from mdb_protocol import keys
+from mdb_protocol.errors import MdbError
+from mdb_sim.figures import band, draw, draw_band
+from mdb_sim.record import Episode
+from mdb_sim.trajectories import captured, typical
+from tests.sim.test_measures import Log, place, report, scene, write_run
+
+NAMES = ["figure4", "figure5", "figure6"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_run(tmp_path_factory.mktemp("runs") / "full").run
+
+
+def text_of(svg: Path) -> str:
+    return " ".join(ElementTree.parse(svg).getroot().itertext())
+
+
+def check_files(paths: list[Path], folder: Path, names: list[str]) -> None:
+    assert paths == [folder / f"{name}.{kind}" for name in names for kind in ("png", "svg")]
+    for path in paths:
+        assert path.stat().st_size > 5000
+    for path in paths[::2]:
+        assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_whole_run_is_drawn_with_its_phases_as_text(run: Path, tmp_path: Path) -> None:
+    paths = draw(run, tmp_path / "figures")
+    check_files(paths, tmp_path / "figures", NAMES)
+    for svg in (paths[1], paths[3]):
+        assert all(
+            name in text_of(svg) for name in ("first teacher", "alone", "second teacher", "alone again")
+        )
+    assert "16 in 20–100" in text_of(paths[3])
+    assert "random" in text_of(paths[3])
+    assert "median of all 36 captures: 5 steps" in text_of(paths[5])
+    assert "no captures" not in text_of(paths[5])
+
+
+def test_figures_go_into_the_run_folder_and_are_the_same_every_time(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", 60).run
+    first = {path: path.read_bytes() for path in draw(run)}
+    assert {path.parent for path in first} == {run}
+    assert {path: path.read_bytes() for path in draw(run)} == first
+
+
+def test_an_unfinished_run_says_where_its_log_ends(tmp_path: Path) -> None:
+    paths = draw(write_run(tmp_path / "run", 150).run)
+    assert "the log ends at 150" in text_of(paths[3])
+
+
+@pytest.mark.parametrize("iterations", [0, 1, 3])
+def test_a_run_of_a_few_iterations_is_drawn_with_a_note(tmp_path: Path, iterations: int) -> None:
+    log = Log(tmp_path / "run")
+    for i in range(iterations):
+        log.put(keys.SCENE, scene(i))
+        log.put(keys.ITERATION, report(i))
+    log.close()
+    paths = draw(log.run)
+    check_files(paths, log.run, NAMES)
+    assert "no data in this log" in text_of(paths[1])
+    assert "no captures in this log" in text_of(paths[3])
+    assert text_of(paths[5]).count("no captures in this log") == 2
+
+
+def test_several_runs_are_drawn_with_a_band(run: Path, tmp_path: Path) -> None:
+    shorter = write_run(tmp_path / "shorter", 250).run
+    paths = draw_band([run, shorter], tmp_path / "band")
+    check_files(paths, tmp_path / "band", ["figure4-seeds", "figure5-seeds"])
+    assert "mean of 2 runs" in text_of(paths[3])
+    assert "only" in text_of(draw_band([run], tmp_path / "one")[3])
+    with pytest.raises(MdbError, match="no runs"):
+        draw_band([], tmp_path)
+
+
+def test_the_band_holds_the_mean_and_ends_where_a_curve_is_missing() -> None:
+    curves = [np.array([1.0, 2.0, np.nan, 4.0]), np.array([3.0, 2.0, 1.0])]
+    mean, low, high = band(curves)
+    assert mean[:2].tolist() == [2.0, 2.0]
+    assert (low[0], high[0]) == (1.0, 3.0)
+    assert (low[1], high[1]) == (2.0, 2.0)
+    assert np.isnan([mean[2:], low[2:], high[2:]]).all()
+
+
+def test_the_band_is_as_wide_as_the_standard_error_asks() -> None:
+    curves = [np.array([value]) for value in np.random.default_rng(3).normal(size=100)]
+    _, low, high = band(curves)
+    assert high[0] - low[0] == pytest.approx(2 * 1.96 * np.std(curves) / 10, rel=0.1)
+
+
+def test_shown_episodes_are_typical_in_length_one_a_side_and_the_earliest_of_equals() -> None:
+    def episode(start: int, steps: int, direction_rad: float) -> Episode:
+        return Episode(start, "capture", tuple(place(step, direction_rad) for step in range(steps + 1)))
+
+    episodes = [episode(0, 2, 0.3), episode(10, 5, 0.4), episode(20, 5, 0.2), episode(30, 9, 2.0)]
+    assert [shown.start for _, shown in typical(episodes)] == [10, 30]
+    assert typical([]) == []
+
+
+def test_episodes_of_forced_exploration_are_not_shown(tmp_path: Path) -> None:
+    record = write_run(tmp_path / "run", 200)
+    assert [episode.start for episode in captured(record, taught=True)] == list(range(20, 100, 5))
+    assert [episode.start for episode in captured(record, taught=False)] == list(range(100, 200, 5))
+
+
+def test_without_matplotlib_the_error_names_the_extra(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MdbError, match=r"pip install 'multilevel-darwinist-brain\[plot\]'"):
+        draw(run)

@@ -1,0 +1,327 @@
+"""Measures against values worked out by hand, from real log files on disk."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mdb_protocol import keys
+from mdb_protocol.errors import MdbError
+from mdb_protocol.keys import Key
+from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_protocol.messages import CurrentModel, IterationReport, Message, Phase, Placement, Scene, Timing
+from mdb_services.config import read_file
+from mdb_services.mechanism.network import Network
+from mdb_services.recorder import Recorder
+from mdb_sim import measures
+from mdb_sim.acceptance import acceptance_row, acceptance_table
+from mdb_sim.experiment import Experiment
+from mdb_sim.record import EXPERIMENT_FILE, RunRecord, read_record
+from mdb_sim.teacher import Language, graded_feedback, make_language, turn_ranks
+
+PAPER = Path(__file__).parents[2] / "deploy" / "experiments" / "paper.toml"
+TURNS = (0.0, -20.0, -45.0, -90.0, 20.0, 45.0, 90.0)
+ONE, TWO = make_language("ordered", TURNS), make_language("reversed", TURNS)
+PHASE, ITERATIONS, RANDOM = 100, 400, 20
+CAPTURE_EVERY = 5
+Report = Callable[[int], IterationReport]
+
+
+def small_experiment(*, scripted: bool = True) -> Experiment:
+    """The paper's experiment with phases of 100 iterations, and known languages."""
+    content = read_file(
+        PAPER, [f"experiment.iterations={ITERATIONS}", f"optimizer.random_iterations={RANDOM}"]
+    )
+    for number, phase in enumerate(content["teacher"]["phase"]):
+        phase["start"] = number * PHASE
+        if "language" in phase:
+            phase["language"] = "ordered" if number == 0 else "reversed"
+    if not scripted:
+        del content["teacher"]
+    return Experiment(content, "test")
+
+
+class Log:
+    """A run folder being written: real messages over a bus, through the recorder, onto disk."""
+
+    def __init__(self, run: Path, experiment: Experiment | None = None) -> None:
+        run.mkdir(parents=True, exist_ok=True)
+        self.run = run
+        (experiment or small_experiment()).write(run / EXPERIMENT_FILE)
+        fabric = Fabric()
+        self._bus = MemoryBus(fabric, "pioneer")
+        self._recorder = Recorder(MemoryBus(fabric, "pioneer"), run)
+
+    def put(self, row: Key, message: Message, **parameters: str) -> None:
+        self._bus.publisher(row, **parameters).put(message)
+
+    def close(self) -> RunRecord:
+        self._recorder.close()
+        return read_record(self.run)
+
+
+def language_at(iteration: int) -> Language | None:
+    return (ONE, None, TWO, None)[iteration // PHASE]
+
+
+def place(step: int, turn_rad: float = 0.4) -> Placement:
+    """Where a robot is that goes straight to an object 1.5 m away."""
+    x_m, y_m = 0.2 * step * math.cos(turn_rad), 0.2 * step * math.sin(turn_rad)
+    object_m = 1.5 * math.cos(turn_rad), 1.5 * math.sin(turn_rad)
+    return Placement(x_m=x_m, y_m=y_m, heading_rad=turn_rad, object_x_m=object_m[0], object_y_m=object_m[1])
+
+
+def scene(count: int, *, captures: int | None = None) -> Scene:
+    """After `count` actions; every fifth ends an episode with a capture."""
+    step, episode = (count - 1) % CAPTURE_EVERY, (count - 1) // CAPTURE_EVERY
+    captured = step == CAPTURE_EVERY - 1
+    direction_rad = 1.1 * episode
+    reached = place(step + 1, direction_rad) if count else place(0)
+    return Scene(
+        iteration=count,
+        episode=max(episode, 0) + captured,
+        captures=count // CAPTURE_EVERY if captures is None else captures,
+        event="capture" if captured and count else "none",
+        action=0 if count else None,
+        before=place(step, direction_rad) if count else None,
+        reached=reached,
+        now=place(0, direction_rad + 1.1) if captured or not count else reached,
+    )
+
+
+def report(iteration: int) -> IterationReport:
+    """Commands go round; obeyed from the middle of a phase on, but for every fourth iteration."""
+    language, in_phase = language_at(iteration), iteration % PHASE
+    command = iteration % len(TURNS)
+    obeys = in_phase >= PHASE // 2 and iteration % 4 != 0
+    action = command if obeys else (command + 1) % len(TURNS)
+    version = 0 if iteration == 0 else 1 if iteration < 50 else 2 if iteration < 250 else 3
+    foreseen_wrongly = 0.5 if in_phase < 20 else 0.0
+    error = foreseen_wrongly if iteration < 2 * PHASE else 0.2
+    return IterationReport(
+        iteration=iteration,
+        mode="taught" if language else "induced",
+        action=action,
+        explored=iteration < RANDOM,
+        predicted=None,
+        note=language.note(command) if language else None,
+        feedback=graded_feedback(command, action, TURNS) if language else None,
+        event="capture" if (iteration + 1) % CAPTURE_EVERY == 0 else "none",
+        prequential={"communication": error} if language else {},
+        versions={"communication": version} if version else {},
+    )
+
+
+def constant_network(value: float) -> Network:
+    return Network([np.zeros((1, 9)), np.array([[0.0, value]])])
+
+
+def perfect_network(language: Language) -> Network:
+    """Foresees every feedback: six steep units count the steps of turn missed, three on each side."""
+    ranks = turn_ranks(TURNS)
+    meant = [ranks[language.command(note)] - 3.0 for note in range(len(TURNS))]
+    steep = 20.0
+    towards = np.array([*meant, -3.0])
+    hidden = [[*(steep * side * towards), -steep * t] for side in (1, -1) for t in (0.5, 1.5, 2.5)]
+    return Network([np.array(hidden), np.array([[-1 / 3] * 6 + [1 - 6 / 3]])])
+
+
+def current_model(version: int, network: Network, error: float) -> CurrentModel:
+    layers, weights = network.to_arrays()
+    return CurrentModel(
+        model="communication",
+        version=version,
+        generation=version,
+        layers=layers,
+        weights=weights,
+        error=error,
+    )
+
+
+def write_run(
+    run: Path, iterations: int = ITERATIONS, *, scenes: Callable[[int], Scene] = scene
+) -> RunRecord:
+    """Write a run of the small experiment and read it back."""
+    log = Log(run)
+    names = ("first teacher", "alone", "second teacher", "alone again")
+    log.put(keys.SCENE, scenes(0))
+    models = (constant_network(0.0), perfect_network(ONE), perfect_network(TWO))
+    for version, (network, error) in enumerate(zip(models, (0.6, 0.01, 0.02), strict=True), start=1):
+        log.put(keys.CURRENT_MODEL, current_model(version, network, error), model="communication")
+    for i in range(iterations):
+        if i % PHASE == 0:
+            teacher = ("one", None, "two", None)[i // PHASE]
+            log.put(keys.PHASE, Phase(iteration=i, name=names[i // PHASE], teacher=teacher))
+        log.put(keys.SCENE, scenes(i + 1))
+        log.put(keys.ITERATION, report(i))
+        log.put(keys.TIMING, Timing(iteration=i, perception_to_action_s=0.001 * (i + 1), cycle_s=0.5))
+    return log.close()
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
+    return write_run(tmp_path_factory.mktemp("runs") / "full")
+
+
+def test_phases_come_with_their_ends_teachers_and_languages(record: RunRecord) -> None:
+    assert [(s.start, s.stop, s.teacher) for s in record.spans] == [
+        (0, 100, "one"), (100, 200, None), (200, 300, "two"), (300, 400, None),
+    ]  # fmt: skip
+    assert [s.language.notes if s.language else None for s in record.spans] == [
+        ONE.notes, None, TWO.notes, None,
+    ]  # fmt: skip
+
+
+def test_obedience_is_the_share_of_commands_obeyed_in_the_last_part_of_a_phase(record: RunRecord) -> None:
+    windows = [measures.obedience_window(span) for span in record.taught]
+    assert windows == [(60, 100), (260, 300)]
+    assert [measures.obedience(record, window) for window in windows] == [0.75, 0.75]
+    assert measures.obedience(record, (0, 50)) == 0.0
+    assert math.isnan(measures.obedience(record, (100, 200)))
+
+
+def test_captures_are_counted_by_phase_without_the_random_iterations(record: RunRecord) -> None:
+    windows = [measures.capture_window(record, span) for span in record.spans]
+    assert windows == [(20, 100), (100, 200), (200, 300), (300, 400)]
+    assert [measures.captures(record, window) for window in windows] == [16, 20, 20, 20]
+    assert record.captures[[0, 4, 5, 400]].tolist() == [0, 0, 1, 80]
+
+
+def test_running_mean_begins_anew_with_each_teacher(record: RunRecord) -> None:
+    means = measures.running_mean(record, measures.prequential_error(record))
+    assert means[[0, 19, 39, 99]] == pytest.approx([0.5, 0.5, 0.25, 0.0])
+    assert np.isnan(means[100:200]).all()
+    assert means[[200, 299]] == pytest.approx([0.2, 0.2])
+    assert np.isnan(measures.running_mean(record, measures.prequential_error(record), full=True)[:39]).all()
+
+
+def test_first_crossing_needs_a_full_mean_and_may_never_come(record: RunRecord) -> None:
+    first, second = record.taught
+    # Of the last 40 errors 59 - k are still 0.5: the mean is below 0.1 when fewer than 8 are, at the 53rd.
+    assert measures.iterations_below(record, first) == 53
+    assert measures.iterations_below(record, second) == math.inf
+
+
+def test_memory_error_is_that_of_the_model_in_use_where_a_command_came(record: RunRecord) -> None:
+    errors = measures.memory_error(record)
+    assert np.isnan(errors[0])
+    assert errors[[1, 49, 50, 99, 249, 250]] == pytest.approx([0.6, 0.6, 0.01, 0.01, 0.01, 0.02])
+    assert np.isnan(errors[100:200]).all()
+
+
+def test_pair_error_judges_the_model_in_use_by_the_language_that_is_present(record: RunRecord) -> None:
+    errors = measures.pair_error(record)
+    # 7 pairs of feedback 1, 12 of 1/3, 10 of -1/3 and 20 of -1, against a network that always says 0.
+    assert errors[5] == pytest.approx((7 + 12 / 9 + 10 / 9 + 20) / 49)
+    assert errors[95] == pytest.approx(0.0, abs=1e-6)
+    assert errors[200] == pytest.approx(_mistaken())
+    assert errors[299] == pytest.approx(0.0, abs=1e-6)
+    assert np.flatnonzero(np.isfinite(errors[:100])).tolist() == [*range(5, 100, 5), 99]
+    assert np.isnan(errors[100:200]).all()
+    assert np.isnan(errors[300:]).all()
+
+
+def _mistaken() -> float:
+    """Error of knowing the first language perfectly while the second is spoken."""
+    gaps = [
+        graded_feedback(ONE.command(n), a, TURNS) - graded_feedback(TWO.command(n), a, TURNS)
+        for n in range(7)
+        for a in range(7)
+    ]
+    return float(np.mean(np.square(gaps)))
+
+
+def test_latency_gives_median_tail_and_maximum(record: RunRecord) -> None:
+    latency = measures.latency(record)
+    assert latency.median_s == pytest.approx(0.2005)
+    assert latency.p99_s == pytest.approx(0.39601)
+    assert latency.max_s == pytest.approx(0.4)
+
+
+def test_episodes_hold_the_way_from_placement_to_capture(record: RunRecord) -> None:
+    episodes = list(record.episodes())
+    assert len(episodes) == 80
+    assert {episode.steps for episode in episodes} == {5}
+    assert episodes[1].start == 5
+    assert episodes[1].places[0] == place(0, 1.1)
+    assert episodes[1].places[-1] == place(5, 1.1)
+
+
+def test_a_resent_message_does_not_replace_the_first(tmp_path: Path) -> None:
+    log = Log(tmp_path / "run")
+    log.put(keys.ITERATION, report(0))
+    log.put(keys.ITERATION, _with(report(0), action=6, event="capture"))
+    log.put(keys.SCENE, scene(1))
+    found = log.close()
+    assert found.action.tolist() == [report(0).action]
+    assert found.captures.tolist() == [0, 0]
+
+
+def _with(message: IterationReport, **changes: object) -> IterationReport:
+    fields = {name: getattr(message, name) for name in message.__struct_fields__}
+    return IterationReport(**(fields | changes))
+
+
+def test_captures_go_on_when_a_robot_was_restarted_and_counts_from_zero(tmp_path: Path) -> None:
+    def restarted(count: int) -> Scene:
+        return scene(count, captures=count // 5 if count < 23 else count // 5 - 4)
+
+    found = write_run(tmp_path / "run", 40, scenes=restarted)
+    assert found.captures[[20, 22, 25, 40]].tolist() == [4, 4, 5, 8]
+
+
+def test_captures_while_nobody_recorded_come_from_the_robots_count(tmp_path: Path) -> None:
+    log = Log(tmp_path / "run")
+    for count in (*range(12), *range(31, 41)):
+        log.put(keys.SCENE, scene(count))
+        if count < 40:
+            log.put(keys.ITERATION, report(count))
+    found = log.close()
+    assert found.captures[[11, 40]].tolist() == [2, 8]
+    assert not found.reported[20]
+    assert len(list(found.episodes())) == 3
+
+
+def test_a_log_cut_short_is_measured_as_far_as_it_goes(tmp_path: Path, record: RunRecord) -> None:
+    run = tmp_path / "cut"
+    run.mkdir()
+    whole = (record.run / "run.mcap").read_bytes()
+    (run / "run.mcap").write_bytes(whole[: len(whole) * 6 // 10])
+    (run / EXPERIMENT_FILE).write_bytes((record.run / EXPERIMENT_FILE).read_bytes())
+    found = read_record(run)
+    assert 200 < found.iterations < 300
+    assert [(s.start, s.stop) for s in found.spans] == [(0, 100), (100, 200), (200, 300), (300, 400)]
+    row = acceptance_row(found)
+    assert row.below[0] == 53
+    assert math.isnan(row.below[1])
+    assert row.captures[:2] == (16, 20)
+    assert [math.isnan(value) for value in row.captures] == [False, False, True, True]
+    assert math.isnan(row.pair_errors[1])
+    assert "| – |" in acceptance_table([row])
+
+
+def test_a_log_without_any_message_has_no_measures(tmp_path: Path) -> None:
+    row = acceptance_row(Log(tmp_path / "run").close())
+    assert row.iterations == 0
+    assert all(math.isnan(value) for value in (*row.below, *row.pair_errors, *row.obedience, *row.captures))
+
+
+def test_without_a_known_language_full_reward_means_obedience(tmp_path: Path) -> None:
+    log = Log(tmp_path / "run", small_experiment(scripted=False))
+    log.put(keys.PHASE, Phase(iteration=0, name="a person", teacher="anna"))
+    for i in range(100):
+        log.put(keys.ITERATION, report(i))
+    found = log.close()
+    assert [(s.name, s.teacher, s.language) for s in found.spans] == [("a person", "anna", None)]
+    assert measures.obedience(found, (60, 100)) == 0.75
+    assert np.isnan(measures.pair_error(found)).all()
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MdbError, match="experiment file"):
+        read_record(tmp_path)
+    small_experiment().write(tmp_path / EXPERIMENT_FILE)
+    with pytest.raises(MdbError, match="no run log"):
+        read_record(tmp_path)
