@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mdb_protocol.errors import ConfigError
+from mdb_sim.acceptance import acceptance_row, acceptance_table, judge
 from mdb_sim.experiment import Experiment
 from mdb_sim.inline import run_experiment
-from mdb_sim.measures import acceptance_row, acceptance_table, judge, read_run
+from mdb_sim.record import read_record
 
 MISSED = 1
 
@@ -37,7 +38,7 @@ def accept(experiment: Path, seeds: Sequence[int], overrides: Sequence[str], out
     with multiprocessing.get_context("spawn").Pool(max(1, min(workers, len(jobs)))) as pool:
         for folder in pool.imap(_run_one, jobs):
             sys.stderr.write(f"done: {folder}\n")
-    rows = [acceptance_row(read_run(folder)) for *_, folder in jobs]
+    rows = [acceptance_row(read_record(folder)) for *_, folder in jobs]
     table = acceptance_table(rows)
     (out / "acceptance.md").write_text(table + "\n", encoding="utf-8")
     sys.stdout.write(table + "\n")

@@ -60,7 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-Commands = argparse._SubParsersAction  # noqa: SLF001 - argparse has no public name for it
+Commands = argparse._SubParsersAction
 
 
 def _add_experiment(parser: argparse.ArgumentParser) -> None:
@@ -169,7 +169,7 @@ def _up(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.processes import run_router, run_service
+    from mdb_deploy.processes import ServiceOptions, run_router, run_service
     from mdb_services.service import Stopper
 
     stop = Stopper(with_parent=arguments.with_parent)
@@ -179,16 +179,17 @@ def _run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.run is None:
         raise MdbError(f"mdb run {arguments.service} needs --run FOLDER; 'mdb prepare --run FOLDER' makes one")
-    run_service(arguments.service, arguments.run, arguments.connect, arguments.model, arguments.gui, stop)
+    options = ServiceOptions(arguments.run, arguments.connect, arguments.model, arguments.gui)
+    run_service(arguments.service, options, stop)
     return 0
 
 
 def _prepare(arguments: argparse.Namespace) -> int:
-    from mdb_sim.experiment import Experiment
+    from mdb_sim.experiment import EXPERIMENT_FILE, Experiment
 
     experiment = Experiment.read(experiment_path(arguments.experiment), overrides_of(arguments))
     arguments.run.mkdir(parents=True, exist_ok=True)
-    experiment.write(arguments.run / "experiment.toml")
+    experiment.write(arguments.run / EXPERIMENT_FILE)
     return 0
 
 
@@ -196,9 +197,10 @@ def _test(arguments: argparse.Namespace) -> int:
     try:
         import pytest
     except ModuleNotFoundError as error:
-        raise MdbError("the tests need the extra 'test': pip install -e '.[test]', or ./deploy/compose test") from error
+        raise MdbError("the tests need pytest: pip install -e '.[test]', or use ./deploy/compose test") from error
     root = Path(__file__).parents[2]
-    return int(pytest.main(["--rootdir", str(root), "-c", str(root / "pyproject.toml"), str(root / "tests"), *arguments.words]))
+    where = ["--rootdir", str(root), "-c", str(root / "pyproject.toml")]
+    return int(pytest.main([*where, *(arguments.words or [str(root / "tests")])]))
 
 
 def _keys(_: argparse.Namespace) -> int:

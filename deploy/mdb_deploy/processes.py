@@ -6,7 +6,9 @@ Imports what a service needs only when it is run: an optimizer has no compiler i
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import structlog
@@ -15,13 +17,12 @@ from mdb_protocol.bus import Bus
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.zenoh_bus import Router, ZenohBus
 from mdb_services.service import Service, Stopper, run
-from mdb_sim.experiment import Experiment
+from mdb_sim.experiment import EXPERIMENT_FILE, Experiment
 
 log = structlog.get_logger()
 
 ROUTER_CONFIG = Path(__file__).parents[1] / "router.json5"
 ENDPOINT_FILE = "router.endpoint"
-EXPERIMENT_FILE = "experiment.toml"
 MEMORY_FILE = "memory.sqlite"
 EVOLVER_NICE = 5
 """Learning gives way to acting when both want the same core."""
@@ -30,8 +31,6 @@ CONNECT_S = 10.0
 
 def run_router(run_folder: Path | None, listen: str | None, stop: Stopper) -> None:
     """Route until told to stop; writes the endpoint, with the port it got, into the run folder."""
-    import time
-
     router = Router(ROUTER_CONFIG, listen)
     endpoint = router.endpoint()
     if run_folder is not None:
@@ -45,22 +44,33 @@ def run_router(run_folder: Path | None, listen: str | None, stop: Stopper) -> No
     router.close()
 
 
-def run_service(name: str, run_folder: Path, connect: str, model: str | None, gui: bool, stop: Stopper) -> None:
+@dataclass(frozen=True)
+class ServiceOptions:
+    """What the command line says of a service: run folder, router, an evolver's model, a robot's window."""
+
+    run: Path
+    connect: str
+    model: str | None = None
+    gui: bool = False
+
+
+def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
     """Build and run one service of the experiment in the run folder."""
+    run_folder = options.run
     experiment = Experiment.read(run_folder / EXPERIMENT_FILE)
     builders: dict[str, Callable[[Bus], Service]] = {
         "recorder": lambda bus: _recorder(bus, run_folder),
         "memory": lambda bus: _memory(bus, experiment, run_folder),
-        "evolver": lambda bus: _evolver(bus, experiment, model),
+        "evolver": lambda bus: _evolver(bus, experiment, options.model),
         "optimizer": lambda bus: _optimizer(bus, experiment),
-        "robot": lambda bus: experiment.robot_service(bus, gui=gui),
+        "robot": lambda bus: experiment.robot_service(bus, gui=options.gui),
         "teacher": experiment.teacher_service,
     }
     if name not in builders:
         raise ConfigError(f"no service {name!r}; there are router, {', '.join(builders)}")
     bus = ZenohBus(
         experiment.brain.experiment.brain,
-        connect,
+        options.connect,
         connect_timeout_s=CONNECT_S,
         lossless=experiment.brain.lockstep,
     )

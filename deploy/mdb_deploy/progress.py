@@ -80,23 +80,27 @@ class Progress:
             self._console.print(f"iteration {self._done}/{self._iterations}  {self._words()}")
 
     def _words(self) -> str:
-        obedience = f"{sum(self._obeyed) / len(self._obeyed):.0%}" if self._obeyed else "-"
-        errors = "  ".join(
-            f"{name} {sum(recent) / len(recent):.3f}" for name, recent in sorted(self._prequential.items())
-        )
         phase = f"{self._phase}: " if self._phase else ""
-        return f"{phase}{self._mode}  captures {self._captures}  obedience {obedience}  error before learning: {errors}"
+        seen = f"captures {self._captures}  obedience {self._obedience()}"
+        return f"{phase}{self._mode}  {seen}  error before learning: {self._before_learning()}"
+
+    def _obedience(self) -> str:
+        return f"{sum(self._obeyed) / len(self._obeyed):.0%}" if self._obeyed else "-"
+
+    def _before_learning(self) -> str:
+        means = {name: sum(recent) / len(recent) for name, recent in sorted(self._prequential.items())}
+        return "  ".join(f"{name} {mean:.3f}" for name, mean in means.items())
 
     def _render(self) -> Group:
         if not self._done:
             return Group(Text(f"starting: {', '.join(self._ready) or '...'}"))
         memory = "  ".join(f"{name} {error:.3f}" for name, error in sorted(self._errors.items()))
-        obedience = f"{sum(self._obeyed) / len(self._obeyed):.0%}" if self._obeyed else "-"
-        before = "  ".join(f"{n} {sum(r) / len(r):.3f}" for n, r in sorted(self._prequential.items()))
         return Group(
             self._bar,
             Text.assemble(("phase      ", "bold"), f"{self._phase or '-'}   acting on: {self._mode}"),
-            Text.assemble(("captures   ", "bold"), f"{self._captures}   obedience (last {RECENT}): {obedience}"),
-            Text.assemble(("error      ", "bold"), f"before learning: {before}"),
+            Text.assemble(
+                ("captures   ", "bold"), f"{self._captures}   obedience (last {RECENT}): {self._obedience()}"
+            ),
+            Text.assemble(("error      ", "bold"), f"before learning: {self._before_learning()}"),
             Text.assemble(("           ", "bold"), f"over the memory: {memory or '-'}"),
         )

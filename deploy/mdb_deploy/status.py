@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mdb_protocol import keys
+from mdb_protocol.bus import Bus
 from mdb_protocol.errors import QueryError
 from mdb_protocol.messages import Status
 from mdb_protocol.zenoh_bus import ZenohBus
@@ -27,7 +28,7 @@ def show_status(brain: str, connect: str) -> int:
     return 0 if alive else 1
 
 
-def _row(bus: ZenohBus, name: str) -> tuple[str, str, str, str, str]:
+def _row(bus: Bus, name: str) -> tuple[str, str, str, str, str]:
     role, _, instance = name.partition("/")
     try:
         answers: list[Status] = bus.query(keys.STATUS, QUERY_S, role=role, instance=instance)

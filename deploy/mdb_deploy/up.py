@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mdb_deploy.compose import ROUTER, for_experiment, read
-from mdb_deploy.processes import ENDPOINT_FILE, EXPERIMENT_FILE
+from mdb_deploy.processes import ENDPOINT_FILE
 from mdb_deploy.progress import Progress
 from mdb_deploy.runner import Runner, StartError
 from mdb_protocol import keys
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_sim.experiment import Experiment
+from mdb_sim.experiment import EXPERIMENT_FILE, Experiment
 
 POLL_S = 0.05
 STALLED_S = 60.0
@@ -77,7 +77,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
     variables = {"MDB_RUN_INSIDE": str(options.run), "MDB_LISTEN": options.listen, "MDB_CONNECT": ""}
     specs = for_experiment(read(), experiment)
     runner = Runner(specs, variables, options.run / "logs", watch.alive)
-    watch.on_endpoint = lambda endpoint: runner.connect(endpoint)
+    watch.on_endpoint = runner.connect
     status = 0
     try:
         with progress:

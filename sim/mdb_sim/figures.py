@@ -85,7 +85,7 @@ def draw_band(runs: Sequence[Path], out: Path) -> list[Path]:
 
 def _need_matplotlib() -> None:
     try:
-        import matplotlib  # noqa: F401, PLC0415 - an extra
+        import matplotlib  # noqa: F401 - an extra
     except ImportError as error:
         raise MdbError(
             "drawing needs matplotlib, which is not installed; run "
@@ -95,9 +95,9 @@ def _need_matplotlib() -> None:
 
 def _save(stem: Path, size: tuple[float, float], fill: Callable[[Figure], None]) -> list[Path]:
     """Make, fill and write one figure; nothing of matplotlib's global state is touched."""
-    from matplotlib import rc_context  # noqa: PLC0415
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg")]

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from mdb_protocol.messages import CurrentModel, IterationReport, Message, Phase, Placement, Scene, Timing
 from mdb_services.recorder import Recorded, read_log
-from mdb_sim.experiment import Experiment
+from mdb_sim.experiment import EXPERIMENT_FILE, Experiment
 from mdb_sim.schedule import schedule_of
 from mdb_sim.teacher import Language
 
-EXPERIMENT_FILE = "experiment.toml"
 ABSENT = -1
 """Stands in `note` for silence, and in `action` for an iteration whose report is not in the log."""
 

@@ -86,7 +86,7 @@ def _side(place: Placement) -> int:
 
 def _draw_episode(axes: Axes, record: RunRecord, episode: Episode, colour: str) -> float:
     """Draw path, headings, object and capture distance; return how far from the centre they reach (m)."""
-    from matplotlib.patches import Circle  # noqa: PLC0415 - an extra
+    from matplotlib.patches import Circle
 
     world = record.experiment.robot.world
     first = episode.places[0]

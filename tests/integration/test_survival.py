@@ -1,5 +1,6 @@
 """What happens to a running brain: late joiners, killed evolvers, junk on every key, Ctrl-C."""
 
+import json
 import os
 import signal
 import time
@@ -82,8 +83,7 @@ def test_junk_on_every_key_is_counted_and_survived(tmp_path: Path) -> None:
         iteration_after(bus, reports, 3)
         pids = {child.pid for child in brain.children()}
         config = zenoh.Config.from_json5(
-            '{mode: "client", connect: {endpoints: ["%s"]}, scouting: {multicast: {enabled: false}}}'
-            % (brain.run / "router.endpoint").read_text()
+            json.dumps({"mode": "client", "connect": {"endpoints": [(brain.run / "router.endpoint").read_text()]}})
         )
         with zenoh.open(config) as session:
             for row in keys.KEYS:

@@ -1,0 +1,30 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mdb_services.mechanism import streams
+
+
+def test_same_arguments_give_the_same_numbers() -> None:
+    first = streams.generator(7, "optimizer", 12).random(5)
+    assert np.array_equal(first, streams.generator(7, "optimizer", 12).random(5))
+
+
+@pytest.mark.parametrize("other", [(8, "optimizer", 12), (7, "teacher", 12), (7, "optimizer", 13)])
+def test_any_other_argument_gives_other_numbers(other: tuple[int, str, int]) -> None:
+    first = streams.generator(7, "optimizer", 12).random(5)
+    assert not np.isin(streams.generator(*other).random(5), first).any()
+
+
+def test_key_is_the_same_in_another_process() -> None:
+    code = "from mdb_services.mechanism.streams import key; print(key(3, 'x'))"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert int(said) == streams.key(3, "x")
+    assert 0 <= int(said) < 2**64
+
+
+def test_negative_counter_is_refused() -> None:
+    with pytest.raises(ValueError, match="count steps from zero"):
+        streams.generator(1, "x", -1)
