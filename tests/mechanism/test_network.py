@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +14,7 @@ sizes = st.tuples(
 
 def random_network(inputs: int, hidden: tuple[int, ...], outputs: int, seed: int = 0) -> Network:
     random, units = np.random.default_rng(seed), (inputs, *hidden, outputs)
-    return Network([random.normal(size=(b, a + 1)) for a, b in zip(units, units[1:], strict=False)])
+    return Network([random.normal(size=(b, a + 1)) for a, b in pairwise(units)])
 
 
 @given(sizes)

@@ -124,7 +124,7 @@ def test_what_does_not_fit_is_refused() -> None:
         memory.insert(7, np.zeros(3), np.zeros(1), 0)
     with pytest.raises(ValueError, match="predict the pair first"):
         memory.insert(7, np.zeros(2), np.zeros(1), float("nan"))
-    with pytest.raises(ValueError, match="restore it with that capacity"):
+    with pytest.raises(ValueError, match="make it with that capacity"):
         ShortTermMemory(1, 2, 1, MemoryConfig()).restore(filled(MemoryConfig(), [[0, 0], [1, 1]], 3).state())
     with pytest.raises(ValueError, match="one positive at least"):
         MemoryConfig(recency=0)

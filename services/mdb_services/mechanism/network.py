@@ -30,7 +30,7 @@ class Shape:
     def __post_init__(self) -> None:
         object.__setattr__(self, "hidden", tuple(self.hidden))
         if not self.hidden or min(self.sizes) < 1:
-            raise ValueError(f"shape {self.sizes}: expected at least one hidden layer and one unit in each layer")
+            raise ValueError(f"shape {self.sizes}: expected at least one hidden layer, and one unit in each layer")
 
     @property
     def sizes(self) -> tuple[int, ...]:

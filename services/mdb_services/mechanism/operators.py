@@ -143,9 +143,7 @@ def mutate_structure(promoters: Any, sizes: Any, state: Any) -> None:
 
 
 @compiled
-def mutate_weights(
-    child: Any, promoters: Any, sizes: Any, rate: float, step: Any, limit: Any, state: Any
-) -> None:
+def mutate_weights(child: Any, promoters: Any, sizes: Any, rate: float, step: Any, limit: Any, state: Any) -> None:
     """Choose each expressed unit with the given rate and add normal numbers of the given step to its weights.
 
     Whatever does not count (units not expressed, weights from them) is left as it is: the memory of old tasks.
@@ -166,8 +164,14 @@ def mutate_weights(
 
 @compiled
 def _breed(
-    population: Any, parents: Any, sizes: Any, settings: Settings, state: Any, child: Any,
-    child_promoters: Any, shares: Any
+    population: Any,
+    parents: Any,
+    sizes: Any,
+    settings: Settings,
+    state: Any,
+    child: Any,
+    child_promoters: Any,
+    shares: Any,
 ) -> Any:
     """Write one offspring of two parents, or of one, to child and child_promoters; return its mutation step."""
     weights, promoters, steps = population
@@ -186,9 +190,7 @@ def _breed(
 
 
 @compiled
-def _measure(
-    weights: Any, promoters: Any, sizes: Any, data: Any, penalty: float, errors: Any, fitness: Any
-) -> None:
+def _measure(weights: Any, promoters: Any, sizes: Any, data: Any, penalty: float, errors: Any, fitness: Any) -> None:
     """Write errors and fitness (the lower the better): the error plus the penalty on squared weights."""
     inputs, targets, pairs = data
     population_errors(weights, promoters, sizes, inputs, targets, pairs, errors, fitness)
@@ -221,8 +223,7 @@ def evolve(
         for place in range(elite, steps.size):
             stream(key, generation, place, state)
             new_steps[place] = _breed(
-                population, order[:parents], sizes, settings, state,
-                new_weights[place], new_promoters[place], shares
+                population, order[:parents], sizes, settings, state, new_weights[place], new_promoters[place], shares
             )
         errors[:elite], fitness[:elite] = errors[order[:elite]], fitness[order[:elite]]
         weights[:], promoters[:], steps[:] = new_weights, new_promoters, new_steps

@@ -5,10 +5,10 @@ section 2.2; the strategy is in its reference 12 and ours in detail). Each pair 
 
     L = Kt * T + Kd * d + Kc * C + Kr * R
 
-and the pair with the lowest leaves when the memory is full: T recency, d distance in input space to the nearest
-other pair (so that of pairs contradicting each other the older leaves), C the current model's error on the
-pair, R the error when it entered. Each term is scaled to [0, 1] over the stored pairs. Kt = 1 and the rest 0 is
-first in, first out. The newcomer itself is never the one that leaves.
+and the pair with the lowest leaves when the memory is full: T recency, d distance in input space to the
+nearest other pair (so that of pairs contradicting each other the older leaves), C the current model's error
+on the pair, R the error when it entered. Each term is scaled to [0, 1] over the stored pairs. Kt = 1 and the
+rest 0 is first in, first out. The newcomer itself is never the one that leaves.
 """
 
 from collections.abc import Mapping
@@ -57,11 +57,12 @@ class Change:
 
 
 class MemoryMirror:
-    """The rows of a short-term memory, kept by applying its changes in order: what a follower needs to learn."""
+    """The rows of a short-term memory, kept by applying its changes in order: all that a follower needs."""
 
     def __init__(self, capacity: int, inputs: int, outputs: int) -> None:
         if min(capacity, inputs, outputs) < 1:
-            raise ValueError(f"capacity, inputs, outputs are {(capacity, inputs, outputs)}; expected 1 or more each")
+            given = (capacity, inputs, outputs)
+            raise ValueError(f"capacity, inputs, outputs are {given}; expected 1 or more each")
         self.capacity = capacity
         self.version = 0
         self._size = 0
@@ -85,7 +86,10 @@ class MemoryMirror:
                 f"{self.version + 1}: ask for the whole memory"
             )
         if not 0 <= change.slot <= min(self._size, self.capacity - 1):
-            raise ValueError(f"change writes slot {change.slot} of a memory of {self._size} pairs: it is damaged")
+            raise ValueError(
+                f"change writes slot {change.slot} of a memory of {self._size} pairs; expected "
+                "one in use or the next: the change is damaged, ask for the whole memory"
+            )
         self._inputs[change.slot] = _row(input_row, self._inputs.shape[1], "input row")
         self._targets[change.slot] = _row(target_row, self._targets.shape[1], "target row")
         self._ids[change.slot] = change.id
@@ -95,20 +99,22 @@ class MemoryMirror:
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of the stored rows, their ids and the version."""
         inputs, targets, ids = self.arrays()
-        return {"inputs": inputs, "targets": targets, "ids": ids, "version": np.array(self.version, dtype=np.int64)}
+        version = np.array(self.version, dtype=np.int64)
+        return {"inputs": inputs, "targets": targets, "ids": ids, "version": version}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Take over a state of this class or of a `ShortTermMemory`; raises ValueError when it does not fit."""
+        """Take over the state of a mirror or of a `ShortTermMemory`; raises ValueError when it does not fit."""
         missing = self.state().keys() - state.keys()
         if missing:
             raise ValueError(f"state lacks {sorted(missing)}: it is not of a memory of this kind")
         count = len(state["ids"])
-        shapes = {"inputs": (count, self._inputs.shape[1]), "targets": (count, self._targets.shape[1])}
+        shapes = {name: (count, *array.shape[1:]) for name, array in self.state().items() if array.ndim}
         for name, shape in shapes.items():
-            if state[name].shape != shape or not np.isfinite(state[name]).all():
-                raise ValueError(f"{name} have shape {state[name].shape}; expected finite numbers of shape {shape}")
+            given = state[name]
+            if given.shape != shape or not np.isfinite(given).all():
+                raise ValueError(f"{name} have shape {given.shape}; expected finite numbers of shape {shape}")
         if count > self.capacity:
-            raise ValueError(f"state holds {count} pairs, the memory {self.capacity}: restore it with that capacity")
+            raise ValueError(f"state holds {count} pairs, the memory {self.capacity}: make it with that capacity")
         self._size, self.version = count, int(state["version"])
         self._inputs[:count], self._targets[:count] = state["inputs"], state["targets"]
         self._ids[:count] = state["ids"]
@@ -130,7 +136,7 @@ class ShortTermMemory(MemoryMirror):
 
     def insert(
         self,
-        id: int,  # noqa: A002 - the pair's own word for it
+        id: int,
         input_row: NDArray[Any],
         target_row: NDArray[Any],
         error_at_entry: float,
@@ -178,7 +184,8 @@ class ShortTermMemory(MemoryMirror):
     def _gaps(self, row: Floats) -> Floats:
         """Return the squared distances (n,) of a row to all stored ones, in input space."""
         difference = self._inputs[: self._size] - row
-        return np.einsum("ij,ij->i", difference, difference)
+        squared: Floats = np.einsum("ij,ij->i", difference, difference)
+        return squared
 
     def _lowest(self, gaps: Floats, errors_now: NDArray[Any] | None) -> int:
         labels = self._labels(gaps, errors_now)
