@@ -77,7 +77,7 @@ class Progress:
         self._bar.update(self._task, completed=self._done)
         if not self._console.is_terminal and self._done * LINES // self._iterations > self._lines:
             self._lines = self._done * LINES // self._iterations
-            self._console.print(f"iteration {self._done}/{self._iterations}  {self._words()}")
+            self._console.print(f"iteration {self._done}/{self._iterations}  {self._words()}", soft_wrap=True)
 
     def _words(self) -> str:
         phase = f"{self._phase}: " if self._phase else ""

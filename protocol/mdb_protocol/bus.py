@@ -64,34 +64,61 @@ class Refusals:
             log.warning("message refused", key=path, reason=reason, count=count)
 
 
+class Wake:
+    """Wakes the one who waits; keeps a single mark however much comes, so that it needs no memory."""
+
+    def __init__(self) -> None:
+        self._marks: SimpleQueue[None] = SimpleQueue()
+
+    def set(self) -> None:
+        """Say that something has come; called from any thread, after it can be taken."""
+        if self._marks.empty():
+            self._marks.put(None)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for a mark, or the bound; return whether there was one."""
+        try:
+            self._marks.get(timeout=timeout_s)
+        except Empty:
+            return False
+        while not self._marks.empty():
+            self._marks.get_nowait()
+        return True
+
+
 class Inbox:
     """What came for one subscription and has not been taken yet; filled from any thread."""
 
-    def __init__(self, row: Key, brain: str, refusals: Refusals, wake: SimpleQueue[None]) -> None:
+    def __init__(self, row: Key, brain: str, refusals: Refusals, wake: Wake) -> None:
         self._row, self._brain, self._refusals, self._wake = row, brain, refusals, wake
         self._latest = row.delivery is Delivery.LATEST
         self._raw: deque[Raw] = deque(maxlen=LATEST_KEPT if self._latest else RELIABLE_KEPT)
+        self._lock = threading.Lock()
 
     def put(self, raw: Raw) -> None:
         """Hand over a sample; called by the transport."""
         if not self._latest and len(self._raw) == RELIABLE_KEPT:
             self._refusals.add(self._row.path, f"inbox full: {RELIABLE_KEPT} messages wait; oldest dropped")
-        self._raw.append(raw)
-        self._wake.put(None)
+        with self._lock:
+            self._raw.append(raw)
+        self._wake.set()
 
     def take(self) -> Any:
         """Return the next valid message (latest-value keys: the newest, dropping older), or None."""
-        while self._raw:
-            try:
-                raw = self._raw.pop() if self._latest else self._raw.popleft()
-            except IndexError:
-                return None
-            message = self._read(raw)
-            if message is not None:
-                if self._latest:
-                    self._raw.clear()
-                return message
+        while waiting := self._next():
+            for raw in waiting:
+                if (message := self._read(raw)) is not None:
+                    return message
         return None
+
+    def _next(self) -> list[Raw]:
+        """Take the oldest sample, or all of a latest-value key, newest first: what comes now stays."""
+        with self._lock:
+            if not self._latest:
+                return [self._raw.popleft()] if self._raw else []
+            waiting = list(reversed(self._raw))
+            self._raw.clear()
+            return waiting
 
     def _read(self, raw: Raw) -> Message | None:
         try:
@@ -104,14 +131,14 @@ class Inbox:
 class Tap:
     """Every sample of a brain as it came, undecoded: for recorders."""
 
-    def __init__(self, wake: SimpleQueue[None]) -> None:
+    def __init__(self, wake: Wake) -> None:
         self._raw: deque[Raw] = deque()
         self._wake = wake
 
     def put(self, raw: Raw) -> None:
         """Hand over a sample; called by the transport."""
         self._raw.append(raw)
-        self._wake.put(None)
+        self._wake.set()
 
     def take(self) -> Raw | None:
         """Return the next sample, or None."""
@@ -142,7 +169,7 @@ class Bus(ABC):
     def __init__(self, brain: str) -> None:
         self.brain = brain
         self.refusals = Refusals()
-        self._wake: SimpleQueue[None] = SimpleQueue()
+        self._wake = Wake()
 
     @abstractmethod
     def publisher(self, row: Key, **parameters: str) -> Publisher:
@@ -184,13 +211,7 @@ class Bus(ABC):
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until something came since the last `wait`, or the bound; return whether it did."""
-        try:
-            self._wake.get(timeout=timeout_s)
-        except Empty:
-            return False
-        while not self._wake.empty():
-            self._wake.get_nowait()
-        return True
+        return self._wake.wait(timeout_s)
 
     def _alive_name(self, key: str) -> str | None:
         found = ALIVE.match(self.brain, key)

@@ -52,7 +52,8 @@ class Key:
         if parameters:
             raise MdbError(f"key {self.path} has no parameter {', '.join(parameters)}")
         for name, value in {"brain": brain, **filled}.items():
-            if value != "*" and not NAME.fullmatch(value):
+            left_out = value == "*" and name != "brain"
+            if not left_out and not NAME.fullmatch(value):
                 raise MdbError(
                     f"{name} is {value!r}; expected 1 to 64 letters, digits, '_', '.' or '-' (no '/', no '*')"
                 )
@@ -69,9 +70,7 @@ PERCEPTION = Key("perception", m.Perception, "robot", Delivery.LATEST, "what the
 SCENE = Key("scene", m.Scene, "robot", Delivery.LATEST, "what a bystander sees: for teachers and viewers")
 ACTION = Key("action", m.Action, "action optimizer", Delivery.LATEST, "the current action")
 COMMAND = Key("teacher/{teacher}/command", m.Command, "that teacher", Delivery.LATCHED, "a note, or silence")
-FEEDBACK = Key(
-    "teacher/{teacher}/feedback", m.Feedback, "that teacher", Delivery.LATCHED, "reward or punishment"
-)
+FEEDBACK = Key("teacher/{teacher}/feedback", m.Feedback, "that teacher", Delivery.LATCHED, "reward or punishment")
 PHASE = Key("phase", m.Phase, "scripted teacher", Delivery.LATCHED, "the phase of the experiment")
 PAIR = Key(
     "pair",
@@ -115,9 +114,7 @@ KEPT_MODEL = Key(
     "the last current model, kept on disk",
     repeatable=False,
 )
-ITERATION = Key(
-    "iteration", m.IterationReport, "action optimizer", Delivery.RELIABLE, "what was done and foreseen"
-)
+ITERATION = Key("iteration", m.IterationReport, "action optimizer", Delivery.RELIABLE, "what was done and foreseen")
 TIMING = Key(
     "timing", m.Timing, "action optimizer", Delivery.RELIABLE, "durations of the iteration", repeatable=False
 )
@@ -157,14 +154,17 @@ def table() -> str:
         "|---|---|---|---|---|---|",
     ]
     for row in KEYS:
-        delivery, _, rest = row.delivery.value.partition(":")
-        late = row.late_joiner or {
-            Delivery.LATEST: "the last",
-            Delivery.LATCHED: "the last",
-            Delivery.RELIABLE: "what comes",
-            Delivery.QUERY: "asks",
-            Delivery.TOKEN: "all that live",
-        }[row.delivery]
+        delivery, _, _ = row.delivery.value.partition(":")
+        late = (
+            row.late_joiner
+            or {
+                Delivery.LATEST: "the last",
+                Delivery.LATCHED: "the last",
+                Delivery.RELIABLE: "what comes",
+                Delivery.QUERY: "asks",
+                Delivery.TOKEN: "all that live",
+            }[row.delivery]
+        )
         payload = row.message.__name__ if row.message else "none"
         lines.append(f"| `{row.path}` | {payload} | {row.writer} | {delivery} | {late} | {row.meaning} |")
     return "\n".join(lines)

@@ -164,7 +164,7 @@ class MemoryBus(Bus):
 
     def poke(self) -> None:
         """Wake this bus's `wait`."""
-        self._wake.put(None)
+        self._wake.set()
 
     def check_open(self) -> None:
         """Raise BusError when this bus was closed."""

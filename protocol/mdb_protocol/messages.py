@@ -17,7 +17,7 @@ from msgspec import Meta
 Iteration = Annotated[int, Meta(ge=0, le=2**53)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Index = Annotated[int, Meta(ge=0, le=2**31)]
-Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.-]+$")]
+Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.-]+\Z")]
 Text = Annotated[str, Meta(max_length=4096)]
 Event = Literal["none", "capture", "bump", "lost", "timeout"]
 Reading = dict[Name, float]
@@ -40,9 +40,7 @@ def check_finite(what: str, values: Mapping[str, float] | float | None) -> None:
 def check_array(what: str, array: np.ndarray, kind: str, ndim: int) -> None:
     """Raise ValueError unless `array` has the dtype kind ("f", "i", "u"), dimensions and finite values."""
     if array.dtype.kind != kind or array.ndim != ndim:
-        raise ValueError(
-            f"{what}: got {array.ndim} dimensions of {array.dtype}; expected {ndim} of kind {kind!r}"
-        )
+        raise ValueError(f"{what}: got {array.ndim} dimensions of {array.dtype}; expected {ndim} of kind {kind!r}")
     if kind == "f" and not (np.isfinite(array).all() and (np.abs(array) <= VALUE_BOUND).all()):
         raise ValueError(f"{what}: holds values that are not finite or beyond ±{VALUE_BOUND:g}")
 
@@ -234,6 +232,11 @@ class IterationReport(Message, frozen=True, kw_only=True):
     prequential: dict[Name, float]
     versions: Versions
 
+    def __post_init__(self) -> None:
+        check_finite("predicted", self.predicted)
+        check_finite("feedback", self.feedback)
+        check_finite("prequential", self.prequential)
+
 
 class Timing(Message, frozen=True, kw_only=True):
     """Durations of one iteration on this machine: differs from run to run, unlike all the rest."""
@@ -241,6 +244,10 @@ class Timing(Message, frozen=True, kw_only=True):
     iteration: Iteration
     perception_to_action_s: float
     cycle_s: float
+
+    def __post_init__(self) -> None:
+        check_finite("perception_to_action_s", self.perception_to_action_s)
+        check_finite("cycle_s", self.cycle_s)
 
 
 class Finished(Message, frozen=True, kw_only=True):

@@ -109,7 +109,7 @@ class ZenohBus(Bus):
 
         def hand_over(query: zenoh.Query) -> None:
             self._asked.put((row, handler, query))
-            self._wake.put(None)
+            self._wake.set()
 
         key = row.at(self.brain, **parameters)
         queryable = self._session.declare_queryable(key, Callback(hand_over, indirect=False), complete=True)
@@ -184,7 +184,7 @@ class ZenohBus(Bus):
                 self._alive.add(name)
             else:
                 self._alive.discard(name)
-        self._wake.put(None)
+        self._wake.set()
 
     def close(self) -> None:
         """See `Bus.close`."""
@@ -192,7 +192,7 @@ class ZenohBus(Bus):
             with suppress(zenoh.ZError):
                 declared.undeclare()
         self._declared.clear()
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
 
 class _Publisher:
@@ -269,7 +269,7 @@ class Router:
 
     def close(self) -> None:
         """Stop routing; clients notice at once."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
 
 def _first_line(error: Exception) -> str:

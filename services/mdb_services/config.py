@@ -17,18 +17,15 @@ from msgspec import Meta
 
 from mdb_protocol.errors import ConfigError
 from mdb_services.mechanism.choice import Mode
-from mdb_services.mechanism.encoding import Channel, Encoding
-from mdb_services.mechanism.pbga import EvolutionConfig
+from mdb_services.mechanism.encoding import Channel, Codebook, Encoding
+from mdb_services.mechanism.settings import EvolutionConfig
 from mdb_services.mechanism.stm import MemoryConfig
 
 T = TypeVar("T")
 
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Seconds = Annotated[float, Meta(gt=0, le=3600)]
 Probability = Annotated[float, Meta(ge=0, le=1)]
-
-DERIVED = ("next.", "covered.")
-"""Prefixes of variables that come from a sensor: after the action, and the relative change."""
 
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -47,7 +44,10 @@ class ExperimentSection(Section, frozen=True, kw_only=True):
 
 
 class ChannelSection(Section, frozen=True, kw_only=True):
-    """`[channels.NAME]`: how a variable is scaled; `change` scales `covered.NAME` to ±change."""
+    """`[channels.NAME]`: how a variable is scaled; `change` scales `covered.NAME` to ±change.
+
+    `of` makes it a second reading of another variable, as the turn is of the action; it takes its `values`.
+    """
 
     encoding: Encoding = "scalar"
     low: float = -1.0
@@ -55,6 +55,7 @@ class ChannelSection(Section, frozen=True, kw_only=True):
     size: Annotated[int, Meta(ge=0, le=128)] = 0
     values: tuple[float, ...] = ()
     change: Annotated[float, Meta(gt=0)] | None = None
+    of: str | None = None
 
 
 class ModelSection(Section, frozen=True, kw_only=True):
@@ -133,10 +134,13 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
         found: dict[str, Channel] = {}
         for name, section in self.channels.items():
             fields = {k: getattr(section, k) for k in section.__struct_fields__ if k != "change"}
+            if section.of in self.channels and not section.values:
+                fields["values"] = self.channels[section.of].values
             channel = make(Channel, fields, f"channels.{name}")
             found[name] = found[f"next.{name}"] = channel
             if section.change is not None:
-                found[f"covered.{name}"] = Channel(low=-section.change, high=section.change)
+                change = {"low": -section.change, "high": section.change}
+                found[f"covered.{name}"] = make(Channel, change, f"channels.{name}.change")
         return found
 
     def modes(self) -> list[Mode]:
@@ -150,8 +154,14 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
             for name in (*model.inputs, *model.outputs):
                 if name not in variables:
                     raise ConfigError(f"model {model.name}: no channel for {name!r}{_nearest(name, variables)}")
+            try:
+                Codebook(variables, model.inputs, model.outputs)
+            except ValueError as error:
+                raise ConfigError(f"model {model.name}: {error}") from error
             self.evolution_of(model)
             self.memory_of(model)
+        for name, section in self.channels.items():
+            self._check_channel(name, section.of, variables[name].indices)
         models = {model.name: model for model in self.model}
         if len(models) < len(self.model):
             raise ConfigError("two models have the same name; give each its own")
@@ -163,6 +173,15 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
                     f"mode {mode.name}: satisfaction {mode.satisfaction!r} is neither a model nor an output "
                     f"of {mode.world}{_nearest(mode.satisfaction, models)}"
                 )
+
+    def _check_channel(self, name: str, of: str | None, indices: int | None) -> None:
+        if of is not None and of not in self.channels:
+            raise ConfigError(f"channels.{name}: of = {of!r} is no channel{_nearest(of, self.channels)}")
+        if "action" in (name, of) and indices not in (None, self.optimizer.actions):
+            raise ConfigError(
+                f"optimizer.actions is {self.optimizer.actions}, but channels.{name} has {indices} values; "
+                "expected as many of each"
+            )
 
 
 def read_file(path: Path, overrides: Iterable[str] = ()) -> dict[str, Any]:
@@ -223,12 +242,12 @@ def _override(content: dict[str, Any], override: str) -> None:
         value = text.strip()
     place: Any = content
     for i, name in enumerate(names[:-1]):
-        if isinstance(place, dict):
-            place = place.setdefault(name, {})
-        elif isinstance(place, list):
-            place = _by_name(place, name, override)
+        place = place.setdefault(name, {}) if isinstance(place, dict) else _by_name(place, name, override)
+        here = ".".join(names[: i + 1])
         if not isinstance(place, dict | list):
-            raise ConfigError(f"--set {override!r}: {'.'.join(names[: i + 1])} is a value, not a section")
+            raise ConfigError(f"--set {override!r}: {here} is a value, not a section")
+        if isinstance(place, list) and not all(isinstance(entry, dict) for entry in place):
+            raise ConfigError(f"--set {override!r}: {here} is a list of values, not of named entries; give it whole")
     if not isinstance(place, dict):
         raise ConfigError(f"--set {override!r}: name the entry, as in model.object.hidden=[12]")
     place[names[-1]] = value

@@ -17,7 +17,8 @@ from mdb_protocol.errors import QueryError
 from mdb_services.config import BrainConfig
 from mdb_services.mechanism.encoding import Codebook
 from mdb_services.mechanism.network import Network, Shape
-from mdb_services.mechanism.pbga import EvolutionConfig, PromoterGA
+from mdb_services.mechanism.pbga import PromoterGA
+from mdb_services.mechanism.settings import EvolutionConfig
 from mdb_services.mechanism.stm import Change, MemoryMirror, VersionGapError
 
 log = structlog.get_logger()
@@ -81,17 +82,24 @@ class Evolver:
             snapshots = self.bus.query(keys.MEMORY_SNAPSHOT, QUERY_S, model=self.instance)
             if snapshots:
                 kept = self.bus.query(keys.KEPT_MODEL, QUERY_S, model=self.instance)
-        except QueryError as error:
-            log.warning("memory store gave no usable answer; asking again", reason=str(error))
+            if not snapshots:
+                return False
+            self._load(snapshots[0])
+        except (QueryError, ValueError) as error:
+            self.bus.refusals.add(keys.MEMORY_SNAPSHOT.path, f"no usable memory; asking again: {error}")
             return False
-        if not snapshots:
-            return False
-        self._load(snapshots[0])
-        if kept:
-            self._learner.seed([Network.from_arrays(kept[0].layers, kept[0].weights)])
-            self._generations = kept[0].generation
-            log.info("seeded with the kept model", model=self.instance, version=kept[0].version)
+        if kept and not self._generations:
+            self._seed(kept[0])
         return True
+
+    def _seed(self, kept: messages.CurrentModel) -> None:
+        try:
+            self._learner.seed([Network.from_arrays(kept.layers, kept.weights)])
+        except ValueError as error:
+            self.bus.refusals.add(keys.KEPT_MODEL.path, f"beginning anew: {error}")
+            return
+        self._generations = kept.generation
+        log.info("seeded with the kept model", model=self.instance, version=kept.version)
 
     def _load(self, snapshot: messages.MemorySnapshot) -> None:
         self._mirror.restore(
@@ -111,6 +119,9 @@ class Evolver:
             self._mirror.apply(entry, change.inputs, change.targets)
         except VersionGapError:
             log.info("missed a change; asking for the whole memory", model=self.instance, version=change.version)
+            self._joined = False
+        except ValueError as error:
+            self.bus.refusals.add(keys.MEMORY_CHANGE.path, f"asking for the whole memory: {error}")
             self._joined = False
 
     def _learn(self) -> None:

@@ -8,15 +8,17 @@ teacher the communication model's memory stands still). After a restart everythi
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import structlog
 
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import Bus, Publisher
-from mdb_protocol.errors import MdbError
+from mdb_protocol.errors import DecodeError, MdbError
 from mdb_services.config import BrainConfig, ModelSection
 from mdb_services.mechanism.encoding import Codebook, gather
 from mdb_services.mechanism.network import Network
@@ -35,24 +37,42 @@ CREATE TABLE IF NOT EXISTS model (name TEXT PRIMARY KEY, payload BLOB NOT NULL) 
 """
 
 
+class Entry(NamedTuple):
+    """A slot of a short-term memory on disk: the pair in it, since which version, the model's error on it then."""
+
+    slot: int
+    pair: messages.Pair
+    version: int
+    error: float
+
+
 class PairFile:
     """The SQLite file: pairs, what each did to the memories, and the last current models."""
 
     def __init__(self, path: Path) -> None:
         """Open or create; MdbError when the file is not a usable database."""
+        self._path = path
         try:
             self._db = sqlite3.connect(path, isolation_level=None)
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute("PRAGMA synchronous=NORMAL")
             self._db.executescript(SCHEMA)
         except sqlite3.Error as error:
-            raise MdbError(
-                f"{path} cannot be used as the memory's database: {error}. Move it away to start with an empty "
-                "memory, or give another run folder"
-            ) from error
+            raise self.unusable(error) from error
+
+    def unusable(self, error: Exception) -> MdbError:
+        """Return the error that says what is wrong with the file and what to do."""
+        return MdbError(
+            f"{self._path} cannot be used as the memory's database: {error}. Move it away to start with an empty "
+            "memory, or give another run folder"
+        )
 
     def add(
-        self, pair: messages.Pair, stored: messages.PairStored, changes: list[messages.MemoryChange], errors: list[float]
+        self,
+        pair: messages.Pair,
+        stored: messages.PairStored,
+        changes: list[messages.MemoryChange],
+        errors: list[float],
     ) -> None:
         """Write a pair with its acknowledgement and changes in one transaction."""
         self._db.execute("BEGIN IMMEDIATE")
@@ -65,7 +85,8 @@ class PairFile:
             )
             self._db.execute("COMMIT")
         except BaseException:
-            self._db.execute("ROLLBACK")
+            if self._db.in_transaction:  # a full disk has ended it already
+                self._db.execute("ROLLBACK")
             raise
 
     def stored(self, iteration: int) -> messages.PairStored | None:
@@ -78,15 +99,18 @@ class PairFile:
         """Return how many pairs are on disk."""
         return int(self._db.execute("SELECT count(*) FROM pair").fetchone()[0])
 
-    def changes(self, model: str) -> Iterator[tuple[messages.Pair, float]]:
-        """Yield the pairs that entered a model's memory, in order, with the model's error on them then."""
+    def entries(self, model: str) -> list[Entry]:
+        """Return what a model's memory holds: the newest pair of each slot, by slot."""
         rows = self._db.execute(
-            "SELECT payload, entry_error FROM change JOIN pair ON change.pair = pair.iteration "
-            "WHERE model = ? ORDER BY version",
+            "SELECT slot, payload, max(version), entry_error FROM change JOIN pair ON change.pair = pair.iteration "
+            "WHERE model = ? GROUP BY slot ORDER BY slot",
             (model,),
         )
-        for payload, error in rows:
-            yield codec.decode(messages.Pair, payload, codec.encoding_of(messages.Pair)), float(error)
+        encoding = codec.encoding_of(messages.Pair)
+        return [
+            Entry(slot, codec.decode(messages.Pair, payload, encoding), version, error)
+            for slot, payload, version, error in rows
+        ]
 
     def keep_model(self, model: messages.CurrentModel) -> None:
         """Keep the last current model of a name."""
@@ -113,18 +137,40 @@ class ModelMemory:
         self.stm = ShortTermMemory(section.capacity, self.codebook.width, len(section.outputs), self._rule)
         self.network: Network | None = None
 
-    def enter(self, pair: messages.Pair, entry_error: float | None = None) -> tuple[messages.MemoryChange, float] | None:
-        """Insert a pair; None when it lacks a variable of the model.
+    def restore(self, entries: list[Entry]) -> None:
+        """Take over what was on disk; ValueError when it is not of a memory like this one."""
+        if not entries:
+            return
+        rows = [self._rows(entry.pair) for entry in entries]
+        known = [row for row in rows if row is not None]
+        if len(known) < len(rows) or [entry.slot for entry in entries] != list(range(len(entries))):
+            raise ValueError(f"its pairs do not fit model {self.name}: they are of another experiment")
+        versions = np.array([entry.version for entry in entries])
+        self.stm.restore(
+            {
+                "inputs": np.concatenate([inputs for inputs, _ in known]),
+                "targets": np.concatenate([targets for _, targets in known]),
+                "ids": np.array([entry.pair.iteration for entry in entries]),
+                "orders": versions,
+                "entry_errors": np.array([entry.error for entry in entries]),
+                "version": versions.max(),
+            }
+        )
 
-        `entry_error` is given when a stored insert is repeated; otherwise it is the current model's.
-        """
+    def _rows(self, pair: messages.Pair) -> tuple[np.ndarray, np.ndarray] | None:
         facts = gather(
             before=pair.before, after=pair.after, note=pair.note, action=pair.action, feedback=pair.feedback
         )
         inputs, targets = self.codebook.input_rows(facts), self.codebook.target_rows(facts)
-        if inputs is None or targets is None:
+        return None if inputs is None or targets is None else (inputs, targets)
+
+    def enter(self, pair: messages.Pair) -> tuple[messages.MemoryChange, float] | None:
+        """Insert a pair; return the change and the model's error on it, None when it lacks a variable."""
+        rows = self._rows(pair)
+        if rows is None:
             return None
-        error = self._errors(inputs, targets)[0] if entry_error is None else entry_error
+        inputs, targets = rows
+        error = self._errors(inputs, targets)[0]
         errors_now = self._errors(*self.stm.arrays()[:2]) if self._rule.current_error else None
         change = self.stm.insert(pair.iteration, inputs[0], targets[0], float(error), errors_now)
         if change is None:
@@ -161,14 +207,20 @@ class MemoryStore:
 
     role, instance = ROLE, "store"
 
-    def __init__(self, bus: Bus, config: BrainConfig, file: PairFile) -> None:
+    def __init__(
+        self, bus: Bus, config: BrainConfig, file: PairFile, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Take over what the file holds; MdbError when it is damaged or of another experiment."""
         self.bus = bus
         self._file = file
+        self._clock, self._patience_s = clock, config.optimizer.lockstep_patience_s
         self._lockstep = config.lockstep
         self._memories = {section.name: ModelMemory(config, section) for section in config.model}
         self._kept: dict[str, messages.CurrentModel] = {}
         self._duplicates = 0
         self._waiting: messages.Pair | None = None
+        self._waiting_since_s = 0.0
+        self._gave_up = 0
         self._restore()
         self._changes = {name: bus.publisher(keys.MEMORY_CHANGE, model=name) for name in self._memories}
         self._stored: Publisher = bus.publisher(keys.PAIR_STORED)
@@ -179,13 +231,16 @@ class MemoryStore:
         self._pairs = bus.subscriber(keys.PAIR)
 
     def _restore(self) -> None:
-        for name, memory in self._memories.items():
-            for pair, error in self._file.changes(name):
-                memory.enter(pair, error)
-        for model in self._file.models().values():
-            self._remember(model)
-        if self._file.count():
-            log.info("memory restored", pairs=self._file.count(), models=sorted(self._kept))
+        try:
+            for name, memory in self._memories.items():
+                memory.restore(self._file.entries(name))
+            for model in self._file.models().values():
+                self._remember(model)
+            count = self._file.count()
+        except (sqlite3.Error, DecodeError, ValueError) as error:
+            raise self._file.unusable(error) from error
+        if count:
+            log.info("memory restored", pairs=count, models=sorted(self._kept))
 
     def step(self) -> bool:
         """Take the newest models, then every pair that has come."""
@@ -195,13 +250,24 @@ class MemoryStore:
             if model.model in self._memories and self._remember(model):
                 self._file.keep_model(model)
         while (pair := self._waiting or self._pairs.take()) is not None:
-            if not self._has_models_of(pair):
-                self._waiting = pair
+            if not self._is_due(pair):
                 break
             self._waiting = None
             self._store(pair)
             moved = True
         return moved
+
+    def _is_due(self, pair: messages.Pair) -> bool:
+        """Whether to store a pair now: its models are there, or it has waited for them long enough."""
+        if self._has_models_of(pair):
+            return True
+        if self._waiting is None:
+            self._waiting, self._waiting_since_s = pair, self._clock()
+        if self._clock() - self._waiting_since_s < self._patience_s:
+            return False
+        self._gave_up += 1
+        log.warning("waited in vain for the models of a pair", iteration=pair.iteration, patience_s=self._patience_s)
+        return True
 
     def _has_models_of(self, pair: messages.Pair) -> bool:
         """Whether the models that the optimizer acted upon have come (lockstep: same errors every run)."""
@@ -232,19 +298,31 @@ class MemoryStore:
             self._duplicates += 1
             self._stored.put(stored)
             return
+        states = {name: memory.stm.state() for name, memory in self._memories.items()}
+        try:
+            changes, stored = self._enter(pair)
+        except BaseException:  # what is not on disk must not be in memory either
+            for name, state in states.items():
+                self._memories[name].stm.restore(state)
+            raise
+        for change in changes:
+            self._changes[change.model].put(change)
+        self._stored.put(stored)
+
+    def _enter(self, pair: messages.Pair) -> tuple[list[messages.MemoryChange], messages.PairStored]:
+        """Put a pair into the memories and on disk."""
         entered = [done for memory in self._memories.values() if (done := memory.enter(pair)) is not None]
         changes, errors = [change for change, _ in entered], [error for _, error in entered]
         versions = {name: memory.stm.version for name, memory in self._memories.items()}
         stored = messages.PairStored(iteration=pair.iteration, versions=versions)
         self._file.add(pair, stored, changes, errors)
-        for change in changes:
-            self._changes[change.model].put(change)
-        self._stored.put(stored)
+        return changes, stored
 
     def values(self) -> dict[str, float]:
-        """Pairs on disk, duplicates refused, and each memory's version."""
+        """Pairs on disk, duplicates refused, waits given up, and each memory's version."""
         versions = {f"version.{name}": float(memory.stm.version) for name, memory in self._memories.items()}
-        return {"pairs": float(self._file.count()), "duplicates": float(self._duplicates), **versions}
+        counts = {"duplicates": float(self._duplicates), "gave_up.models": float(self._gave_up)}
+        return {"pairs": float(self._file.count()), **counts, **versions}
 
     def close(self) -> None:
         """Close the file."""

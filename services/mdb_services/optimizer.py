@@ -10,6 +10,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 import structlog
@@ -24,10 +26,16 @@ from mdb_services.mechanism.network import Network
 
 log = structlog.get_logger()
 
+T = TypeVar("T", messages.Command, messages.Feedback)
+
 ROLE = "optimizer"
 TEACHER_ROLE = "teacher"
 ENDING_S = 5.0
 """Bound on waiting for the last acknowledgements before the experiment is called finished."""
+KEPT_AHEAD = 256
+"""Commands, and feedback, that are kept for iterations to come; beyond it the farthest ahead is dropped."""
+RESENT_AT_ONCE = 100
+"""Pairs without acknowledgement that are sent again together, the oldest first."""
 
 
 @dataclass
@@ -36,6 +44,10 @@ class _Cycle:
 
     perception: messages.Perception
     started_s: float
+    """When the perception came."""
+    begun_s: float
+    """When the cycle before was done: from here on a command is awaited."""
+    gave_up: set[str] = field(default_factory=set)
     note: int | None = None
     choice: Choice | None = None
     models: dict[str, tuple[Codebook, Network]] = field(default_factory=dict)
@@ -60,7 +72,9 @@ class _CurrentModels:
         if codebook is None:
             return f"no model {model.model!r} in this experiment"
         if (model.layers[0], model.layers[-1]) != (codebook.width, len(codebook.outputs)):
-            return f"model {model.model} has layers {model.layers}, not {codebook.width} in, {len(codebook.outputs)} out"
+            return (
+                f"model {model.model} has layers {model.layers}, not {codebook.width} in, {len(codebook.outputs)} out"
+            )
         try:
             self.usable[model.model] = codebook, Network.from_arrays(model.layers, model.weights)
         except ValueError as error:
@@ -83,6 +97,7 @@ class Optimizer:
         variables = config.variables()
         books = {m.name: Codebook(variables, m.inputs, m.outputs) for m in config.model}
         self._models = _CurrentModels(books)
+        self._notes = variables["note"].indices if "note" in variables else None
         self._required: dict[str, int] = {}
         self._cycle: _Cycle | None = None
         self._next = 0
@@ -124,25 +139,40 @@ class Optimizer:
             if (reason := self._models.take(model)) is not None:
                 self.bus.refusals.add(keys.CURRENT_MODEL.path, reason)
         while (command := self._command_inbox.take()) is not None:
-            if command.iteration >= self._next:
-                self._commands.setdefault(command.iteration, command)
+            self._hear(command)
         while (feedback := self._feedback_inbox.take()) is not None:
-            if feedback.iteration >= self._next:
-                self._feedback.setdefault(feedback.iteration, feedback)
+            self._keep(self._feedback, feedback)
         while (stored := self._stored.take()) is not None:
             self._unacknowledged.pop(stored.iteration, None)
             self._required = stored.versions
         if (perception := self._perceptions.take()) is not None:
             self._perceive(perception)
 
+    def _hear(self, command: messages.Command) -> None:
+        if command.note is not None and self._notes is not None and command.note >= self._notes:
+            reason = f"note {command.note} of teacher {command.teacher}; channels.note has {self._notes} notes"
+            self.bus.refusals.add(keys.COMMAND.path, reason)
+        else:
+            self._keep(self._commands, command)
+
+    def _keep(self, kept: dict[int, T], message: T) -> None:
+        """Keep the first message for an iteration that is not over."""
+        if message.iteration >= self._next:
+            kept.setdefault(message.iteration, message)
+        if len(kept) > KEPT_AHEAD:
+            del kept[max(kept)]
+
     def _perceive(self, perception: messages.Perception) -> None:
-        now = self._clock()
-        if self._cycle is None:
-            if perception.iteration >= self._next:
-                self._next = perception.iteration
-                self._cycle = _Cycle(perception, now)
-        elif self._cycle.choice is not None and perception.iteration == self._next + 1:
-            self._cycle.outcome, self._cycle.outcome_s = perception, now
+        """Take the outcome of the action, or begin where the robot is when it is further than that."""
+        now, cycle = self._clock(), self._cycle
+        due = self._next if cycle is None or cycle.choice is None else self._next + 1
+        if cycle is None or perception.iteration > due:
+            if cycle is not None:
+                log.warning("the robot is further; going on there", mine=self._next, robot=perception.iteration)
+            self._next = perception.iteration
+            self._cycle = _Cycle(perception, now, now)
+        elif cycle.choice is not None and cycle.outcome is None and perception.iteration == due:
+            cycle.outcome, cycle.outcome_s = perception, now
 
     def _act(self, cycle: _Cycle) -> bool:
         """Choose and send the action once command and, in lockstep, models are there or their time is up."""
@@ -150,8 +180,7 @@ class Optimizer:
         if iteration >= self._experiment.iterations:
             self._finishing_s = self._clock()
             return True
-        waited_s = self._clock() - cycle.started_s
-        if not (self._command_is_in(iteration, waited_s) and self._models_are_in(waited_s)):
+        if not (self._command_is_in(cycle) and self._models_are_in(cycle)):
             return False
         command = self._commands.get(iteration)
         cycle.note = command.note if command else None
@@ -168,28 +197,33 @@ class Optimizer:
         self._send_action(cycle)
         return True
 
-    def _command_is_in(self, iteration: int, waited_s: float) -> bool:
-        if iteration in self._commands or not self._teacher_is_there():
+    def _command_is_in(self, cycle: _Cycle) -> bool:
+        if cycle.perception.iteration in self._commands or not self._teacher_is_there():
             return True
-        return self._time_is_up("command", waited_s, self._settings.command_patience_s)
+        return self._time_is_up(cycle, "command", cycle.begun_s, self._settings.command_patience_s)
 
-    def _models_are_in(self, waited_s: float) -> bool:
+    def _models_are_in(self, cycle: _Cycle) -> bool:
         if not self._lockstep:
             return True
         if not self._unacknowledged and all(
             self._models.versions.get(name, 0) >= version for name, version in self._required.items()
         ):
             return True
-        return self._time_is_up("models", waited_s, self._settings.lockstep_patience_s)
+        return self._time_is_up(cycle, "models", cycle.begun_s, self._settings.lockstep_patience_s)
 
     def _teacher_is_there(self) -> bool:
         return any(name.startswith(f"{TEACHER_ROLE}/") for name in self.bus.alive())
 
-    def _time_is_up(self, what: str, waited_s: float, patience_s: float) -> bool:
-        if waited_s < patience_s:
+    def _time_is_up(self, cycle: _Cycle, what: str, since_s: float, patience_s: float) -> bool:
+        """Whether to go on without; in lockstep, where a slow machine must not change the run, not before its own."""
+        if self._lockstep:
+            patience_s = max(patience_s, self._settings.lockstep_patience_s)
+        if self._clock() - since_s < patience_s:
             return False
-        self._gave_up[what] = self._gave_up.get(what, 0) + 1
-        log.warning("waited in vain; going on without", what=what, iteration=self._next, patience_s=patience_s)
+        if what not in cycle.gave_up:
+            cycle.gave_up.add(what)
+            self._gave_up[what] = self._gave_up.get(what, 0) + 1
+            log.warning("waited in vain; going on without", what=what, iteration=self._next, patience_s=patience_s)
         return True
 
     def _send_action(self, cycle: _Cycle) -> None:
@@ -213,12 +247,11 @@ class Optimizer:
         iteration = cycle.perception.iteration
         assert cycle.choice is not None
         assert cycle.outcome is not None
-        waited_s = self._clock() - cycle.outcome_s
         if (
             cycle.note is not None
             and iteration not in self._feedback
             and self._teacher_is_there()
-            and not self._time_is_up("feedback", waited_s, self._settings.feedback_patience_s)
+            and not self._time_is_up(cycle, "feedback", cycle.outcome_s, self._settings.feedback_patience_s)
         ):
             return False
         feedback = self._feedback.get(iteration)
@@ -237,7 +270,7 @@ class Optimizer:
         self._next = iteration + 1
         self._commands = {i: c for i, c in self._commands.items() if i >= self._next}
         self._feedback = {i: f for i, f in self._feedback.items() if i >= self._next}
-        self._cycle = _Cycle(cycle.outcome, cycle.outcome_s)
+        self._cycle = _Cycle(cycle.outcome, cycle.outcome_s, self._clock())
         return True
 
     def _report(self, cycle: _Cycle, pair: messages.Pair) -> None:
@@ -268,15 +301,16 @@ class Optimizer:
 
     def _resend_pairs(self) -> None:
         now = self._clock()
-        for iteration, (pair, sent_s) in self._unacknowledged.items():
+        for iteration, (pair, sent_s) in list(islice(self._unacknowledged.items(), RESENT_AT_ONCE)):
             if now - sent_s >= self._settings.resend_s:
                 self._unacknowledged[iteration] = pair, now
                 self._pairs.put(pair)
 
     def _finish(self) -> bool:
         assert self._finishing_s is not None
+        assert self._cycle is not None
         waited_s = self._clock() - self._finishing_s
-        if waited_s < ENDING_S and (self._unacknowledged or not self._models_are_in(waited_s)):
+        if waited_s < ENDING_S and (self._unacknowledged or not self._models_are_in(self._cycle)):
             return False
         if self._unacknowledged:
             log.error("pairs without acknowledgement at the end", iterations=sorted(self._unacknowledged))

@@ -6,6 +6,7 @@ a kill. `read_log` is the other half: the messages of a run, decoded; figures an
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,6 +29,10 @@ log = structlog.get_logger()
 ROLE = "recorder"
 LOG_PATTERN = "run*.mcap"
 FLUSH_S = 0.5
+MAX_CHANNELS = 60_000
+"""Pairs of key and encoding in one segment, whose format has room for 65535; then the next segment begins."""
+DAMAGE = (McapError, EOFError, struct.error, ValueError, LookupError, OverflowError, MemoryError)
+"""What reading a cut or damaged file can raise."""
 
 
 class Recorder:
@@ -38,15 +43,21 @@ class Recorder:
     def __init__(self, bus: Bus, run: Path, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin the next segment of the run's log; a restarted recorder never writes into an old one."""
         self.bus = bus
-        self._clock = clock
-        self._path = next_segment(run)
-        self._file: IO[bytes] = self._path.open("xb")
+        self._run, self._clock = run, clock
+        self._count = self._bytes = 0
+        self._flushed_s = clock()
+        self._begin()
+        self._tap = bus.tap()
+
+    def _begin(self) -> None:
+        self._file: IO[bytes] = next_segment(self._run).open("xb")
         self._writer = Writer(self._file, use_chunking=False)
         self._writer.start(profile="mdb", library=f"mdb protocol {VERSION}")
         self._channels: dict[tuple[str, str], int] = {}
-        self._count = self._bytes = 0
-        self._flushed_s = clock()
-        self._tap = bus.tap()
+
+    def _end(self) -> None:
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.close()
 
     def step(self) -> bool:
         """Write everything that has come."""
@@ -62,6 +73,9 @@ class Recorder:
     def _write(self, raw: Raw) -> None:
         channel = self._channels.get((raw.key, raw.encoding))
         if channel is None:
+            if len(self._channels) == MAX_CHANNELS:
+                self._end()
+                self._begin()
             schema = self._writer.register_schema(raw.encoding.rpartition(";")[2], "mdb", b"")
             metadata = {"encoding": raw.encoding}
             channel = self._writer.register_channel(raw.key, "msgpack", schema, metadata)
@@ -78,8 +92,7 @@ class Recorder:
     def close(self) -> None:
         """Write what is still there and finish the file."""
         self.step()
-        self._writer.finish()
-        self._file.close()
+        self._end()
 
 
 class Recorded(NamedTuple):
@@ -93,8 +106,9 @@ class Recorded(NamedTuple):
 
 def next_segment(run: Path) -> Path:
     """Return the path of the next log file of a run: run.mcap, run-1.mcap, ..."""
-    number = len(list(run.glob(LOG_PATTERN)))
-    return run / (f"run-{number}.mcap" if number else "run.mcap")
+    there = [path.stem.partition("-")[2] for path in run.glob(LOG_PATTERN)]
+    newest = max((int(number or 0) for number in there if number.isdecimal() or not number), default=None)
+    return run / ("run.mcap" if newest is None else f"run-{newest + 1}.mcap")
 
 
 def read_log(run: Path) -> Iterator[Recorded]:
@@ -116,15 +130,16 @@ def _read_segment(path: Path) -> Iterator[Recorded]:
         try:
             for _, channel, sample in reader.iter_messages(log_time_order=False):
                 if channel.topic not in rows:
-                    brain = channel.topic.split("/")[1]
+                    _, _, rest = channel.topic.partition("/")
+                    brain = rest.partition("/")[0]
                     rows[channel.topic] = brain, keys.find(brain, channel.topic)
                 brain, row = rows[channel.topic]
                 if row is None:
                     continue
-                raw = Raw(channel.topic, sample.data, channel.metadata["encoding"])
+                raw = Raw(channel.topic, sample.data, channel.metadata.get("encoding", ""))
                 try:
                     yield Recorded(row, raw.key, read(row, brain, raw), sample.log_time / 1e9)
                 except DecodeError:
                     continue
-        except (McapError, EOFError) as error:
+        except DAMAGE as error:
             log.info("log ends early", path=str(path), reason=str(error) or type(error).__name__)

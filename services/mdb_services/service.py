@@ -11,6 +11,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from types import FrameType
 from typing import Protocol
 
@@ -88,10 +89,10 @@ def run(service: Service, stop: Callable[[], bool]) -> None:
 
     Re-raises the error when steps fail `FAILURES_IN_A_ROW` times, so that the supervisor restarts it.
     """
-    announce(service)
-    log.info("ready", role=service.role, instance=service.instance)
     failures = 0
     try:
+        announce(service)
+        log.info("ready", role=service.role, instance=service.instance)
         while not stop():
             service.bus.wait(WAIT_S)
             service.bus.serve()
@@ -105,21 +106,26 @@ def run(service: Service, stop: Callable[[], bool]) -> None:
                 if failures >= FAILURES_IN_A_ROW:
                     raise
     finally:
-        service.close()
-        service.bus.close()
+        close([service])
         log.info("stopped", role=service.role, instance=service.instance)
 
 
 def run_inline(services: Sequence[Service], stop: Callable[[], bool]) -> None:
-    """Step all services of a brain in turn, in this thread, until `stop` or nothing moves any more."""
-    for service in services:
-        announce(service)
+    """Step all services of a brain in turn, in this thread, until `stop`; an error of any ends all."""
     try:
+        for service in services:
+            announce(service)
         while not stop():
             moved = [service.step() for service in services]
             if not any(moved):
                 time.sleep(0.001)
     finally:
-        for service in services:
-            service.close()
-            service.bus.close()
+        close(services)
+
+
+def close(services: Sequence[Service]) -> None:
+    """Close services and their buses, in order; one that fails does not keep the others from it."""
+    with ExitStack() as stack:  # the last that is pushed is called first
+        for service in reversed(services):
+            stack.callback(service.bus.close)
+            stack.callback(service.close)

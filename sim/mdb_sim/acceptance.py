@@ -131,12 +131,9 @@ def judge(rows: Iterable[AcceptanceRow]) -> list[Criterion]:
     """Return the criteria of the simulation notes, in their order, with what these seeds reached."""
     rows = list(rows)
 
-    def each(
-        values: Callable[[AcceptanceRow], tuple[float, ...]], *places: int
-    ) -> tuple[tuple[float, ...], ...]:
+    def each(values: Callable[[AcceptanceRow], tuple[float, ...]], *places: int) -> tuple[tuple[float, ...], ...]:
         return tuple(
-            tuple(values(row)[place] if place < len(values(row)) else math.nan for row in rows)
-            for place in places
+            tuple(values(row)[place] if place < len(values(row)) else math.nan for row in rows) for place in places
         )
 
     def captures(
@@ -193,9 +190,7 @@ def acceptance_table(rows: Iterable[AcceptanceRow]) -> str:
     rows = sorted(rows, key=lambda row: (row.seed, row.run))
     parts = [_seeds(rows), _criteria(judge(rows))]
     if any((row.obedience_windows, row.capture_windows) != (PAPER_OBEDIENCE, PAPER_CAPTURES) for row in rows):
-        parts.append(
-            "The criteria are meant for the paper's schedule; at least one of these runs has another."
-        )
+        parts.append("The criteria are meant for the paper's schedule; at least one of these runs has another.")
     return "\n\n".join(parts) + "\n"
 
 

@@ -88,8 +88,7 @@ def _need_matplotlib() -> None:
         import matplotlib  # noqa: F401 - an extra
     except ImportError as error:
         raise MdbError(
-            "drawing needs matplotlib, which is not installed; run "
-            "pip install 'multilevel-darwinist-brain[plot]'"
+            "drawing needs matplotlib, which is not installed; run pip install 'multilevel-darwinist-brain[plot]'"
         ) from error
 
 
@@ -141,9 +140,7 @@ def _error_panels(record: RunRecord, figure: Figure) -> list[Axes]:
     for axes, (title, _) in zip(panels, ERRORS, strict=True):
         _shade(axes, record, labelled=axes is panels[0])
         axes.axhline(measures.THRESHOLD, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
-        axes.text(
-            1.005, measures.THRESHOLD, "10 %", transform=axes.get_yaxis_transform(), va="center", color=INK
-        )
+        axes.text(1.005, measures.THRESHOLD, "10 %", transform=axes.get_yaxis_transform(), va="center", color=INK)
         axes.set_title(title, pad=20 if axes is panels[0] else 5)
         axes.set_ylabel("MSE")
     panels[-1].set_xlabel("Iteration")
@@ -169,9 +166,7 @@ def _pieces(record: RunRecord, values: Floats) -> list[tuple[Floats, Floats]]:
 def _draw_captures(record: RunRecord, figure: Figure) -> None:
     """Figure 5: captures of the object against iterations, with the phases."""
     axes = _capture_axes(record, figure)
-    axes.plot(
-        np.arange(record.iterations + 1), record.captures, color=BLUE, linewidth=2, drawstyle="steps-post"
-    )
+    axes.plot(np.arange(record.iterations + 1), record.captures, color=BLUE, linewidth=2, drawstyle="steps-post")
     _count(axes, [record])
     if not record.captures[-1]:
         note(axes, "no captures in this log")
@@ -281,9 +276,7 @@ def _shade(axes: Axes, record: RunRecord, *, labelled: bool, above: float = 1.02
     if labelled and record.iterations < record.experiment.brain.experiment.iterations:
         axes.axvline(record.iterations, color=ORANGE, linewidth=1, linestyle=":")
         text = f" the log ends at {record.iterations}"
-        axes.text(
-            record.iterations, 0.5, text, transform=axes.get_xaxis_transform(), color=ORANGE, fontsize=9
-        )
+        axes.text(record.iterations, 0.5, text, transform=axes.get_xaxis_transform(), color=ORANGE, fontsize=9)
 
 
 def _end(record: RunRecord) -> int:

@@ -90,9 +90,7 @@ def memory_error(record: RunRecord) -> Floats:
 class PairJudge:
     """The error of communication models over every note and action, by what the teacher would say."""
 
-    def __init__(
-        self, codebook: Codebook, language: Language, turns: tuple[float, ...], kind: FeedbackKind
-    ) -> None:
+    def __init__(self, codebook: Codebook, language: Language, turns: tuple[float, ...], kind: FeedbackKind) -> None:
         actions = np.arange(len(turns))
         notes = np.arange(len(language.notes))
         pairs: Facts = {

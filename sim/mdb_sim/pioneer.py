@@ -49,9 +49,7 @@ def pioneer_urdf() -> str:
     hull_kg = MASS_KG - 2.0 * WHEEL_KG - CASTER_KG - AXLE_KG
     middle_m = (BODY_BOTTOM_M + BODY_TOP_M) / 2.0 - WHEEL_RADIUS_M
     quarter_turn = f'<origin xyz="0 0 0" rpy="{math.pi / 2} 0 0"/>'
-    wheel = (
-        f'{quarter_turn}<geometry><cylinder radius="{WHEEL_RADIUS_M}" length="{WHEEL_WIDTH_M}"/></geometry>'
-    )
+    wheel = f'{quarter_turn}<geometry><cylinder radius="{WHEEL_RADIUS_M}" length="{WHEEL_WIDTH_M}"/></geometry>'
     # A cylinder's contact wanders over its width, and the track with it: turns were up to 5 degrees wrong.
     # A sphere touches the ground in one point below the wheel's middle.
     point_contact = f'<geometry><sphere radius="{WHEEL_RADIUS_M}"/></geometry>'
@@ -100,14 +98,10 @@ class PioneerRobot(ArenaRobot):
         super().__init__(config)
         if gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
             # Asked for a window without one, pybullet ends the whole process.
-            raise RobotError(
-                "gui=True needs a display, and DISPLAY is not set; set it or drop the gui option"
-            )
+            raise RobotError("gui=True needs a display, and DISPLAY is not set; set it or drop the gui option")
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         if self._client < 0:
-            raise RobotError(
-                f"pybullet gave no physics client (gui={gui}); a process can hold one window only"
-            )
+            raise RobotError(f"pybullet gave no physics client (gui={gui}); a process can hold one window only")
         self._step_s = 1.0 / config.physics_hz
         self._build_world()
         self._robot = self._load_robot()
@@ -149,9 +143,7 @@ class PioneerRobot(ArenaRobot):
     def _fixed(self, shape: int, place_m: tuple[float, float, float], **size: object) -> int:
         """A body that nothing moves: a wall or the object."""
         collision = pybullet.createCollisionShape(shape, physicsClientId=self._client, **size)
-        body: int = pybullet.createMultiBody(
-            0.0, collision, basePosition=place_m, physicsClientId=self._client
-        )
+        body: int = pybullet.createMultiBody(0.0, collision, basePosition=place_m, physicsClientId=self._client)
         self._filter(body, -1, _OBSTACLE, _BODY | _RAY)
         return body
 
@@ -200,9 +192,7 @@ class PioneerRobot(ArenaRobot):
         pybullet.resetBasePositionAndOrientation(
             self._robot, (robot.x_m, robot.y_m, self._rest_m), turned, physicsClientId=self._client
         )
-        pybullet.resetBaseVelocity(
-            self._robot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), physicsClientId=self._client
-        )
+        pybullet.resetBaseVelocity(self._robot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), physicsClientId=self._client)
         for wheel in (_LEFT, _RIGHT):
             pybullet.resetJointState(self._robot, wheel, 0.0, 0.0, physicsClientId=self._client)
         self._move_object(placement.object_x_m, placement.object_y_m)
@@ -267,9 +257,7 @@ class PioneerRobot(ArenaRobot):
         )
 
     def _touches(self) -> bool:
-        contacts = pybullet.getContactPoints(
-            bodyA=self._robot, linkIndexA=_HULL, physicsClientId=self._client
-        )
+        contacts = pybullet.getContactPoints(bodyA=self._robot, linkIndexA=_HULL, physicsClientId=self._client)
         return any(contact[8] <= 0.0 for contact in contacts or ())
 
     def cast(self, origins_m: Array, directions: Array) -> tuple[Array, Array]:

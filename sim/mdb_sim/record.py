@@ -218,9 +218,7 @@ def _column(n: int, values: Mapping[int, Any], absent: Any, dtype: Any) -> NDArr
     return column
 
 
-def _by_model(
-    n: int, values: Mapping[int, Mapping[str, float]], absent: Any, dtype: Any
-) -> dict[str, NDArray[Any]]:
+def _by_model(n: int, values: Mapping[int, Mapping[str, float]], absent: Any, dtype: Any) -> dict[str, NDArray[Any]]:
     names = sorted({name for by_name in values.values() for name in by_name})
     return {name: _column(n, {i: v.get(name) for i, v in values.items()}, absent, dtype) for name in names}
 

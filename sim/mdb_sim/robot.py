@@ -226,9 +226,7 @@ def _factory(body: str) -> Callable[..., Robot]:
         raise RobotError(_missing_module(body, module_name, error)) from error
     factory = getattr(module, attribute, None)
     if not callable(factory):
-        raise RobotError(
-            f"body={body!r}: {module_name} has no callable {attribute!r}; mend the name after the colon"
-        )
+        raise RobotError(f"body={body!r}: {module_name} has no callable {attribute!r}; mend the name after the colon")
     made: Callable[..., Robot] = factory
     return made
 

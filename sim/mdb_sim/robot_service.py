@@ -59,9 +59,7 @@ class RobotService:
         """A fresh body after a restart goes on with the brain's count, where it stands."""
         log.warning("going on with the brain's iteration", mine=self._last.iteration, iteration=iteration)
         last = self._last
-        self._body.restore(
-            last.now, iteration, seed=self._seed, episode=last.episode, captures=last.captures
-        )
+        self._body.restore(last.now, iteration, seed=self._seed, episode=last.episode, captures=last.captures)
 
     def _do(self, action: int) -> None:
         started = time.perf_counter()

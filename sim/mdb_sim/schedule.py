@@ -18,6 +18,8 @@ from mdb_sim.teacher import FEEDBACKS, FeedbackKind, Language, TeacherError, mak
 
 RANDOM = "random"
 """A language drawn from the run's seed, unlike those of the other teachers."""
+DRAWS = 1000
+"""Languages drawn until one is unlike the others; for seven actions the second draw nearly always is."""
 
 
 class PhaseSection(Section, frozen=True, kw_only=True):
@@ -76,6 +78,8 @@ def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Sched
     languages: dict[str, Language] = {}
     phases = []
     for phase in section.phase:
+        if phase.teacher is None and phase.language is not None:
+            raise TeacherError(f'phase {phase.name!r}: a language needs its teacher; add teacher = "NAME"')
         if phase.teacher is not None and phase.language is not None:
             taken = [language.notes for name, language in languages.items() if name != phase.teacher]
             languages[phase.teacher] = _language(phase.language, phase.teacher, seed, world, taken)
@@ -86,15 +90,15 @@ def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Sched
     return Schedule(tuple(phases), world.turns_rad, section.feedback)
 
 
-def _language(
-    name: str, teacher: str, seed: int, world: RobotConfig, taken: list[tuple[int, ...]]
-) -> Language:
+def _language(name: str, teacher: str, seed: int, world: RobotConfig, taken: list[tuple[int, ...]]) -> Language:
     if name != RANDOM:
         return make_language(name, world.turns_deg)
-    counter = 0
-    while True:
+    for counter in range(DRAWS):
         key = streams.key(seed, f"language/{teacher}/{counter}")
         language = make_language(f"random:{key}", world.turns_deg)
         if language.notes not in taken:
             return language
-        counter += 1
+    raise TeacherError(
+        f"no language is left for teacher {teacher!r}: {len(taken)} others speak those that {len(world.turns_deg)} "
+        "actions allow; expected fewer teachers, or a language given by name"
+    )

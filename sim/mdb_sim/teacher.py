@@ -68,11 +68,7 @@ def make_language(name: str, turns_deg: Sequence[float]) -> Language:
     if kind == "random" and detail.isdecimal() and int(detail) < 2**64:
         rng = np.random.Generator(np.random.Philox(key=int(detail)))
         return Language(name, tuple(rng.permutation(count).tolist()))
-    if (
-        kind == "notes"
-        and len(parts := detail.split(",")) == count
-        and all(p.strip().isdecimal() for p in parts)
-    ):
+    if kind == "notes" and len(parts := detail.split(",")) == count and all(p.strip().isdecimal() for p in parts):
         return Language(name, tuple(int(part) for part in parts))
     listing = ",".join(map(str, range(count)))
     raise TeacherError(

@@ -10,6 +10,7 @@ from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus, Publisher
 from mdb_sim.robot import Placement, Pose
 from mdb_sim.schedule import Phase, Schedule
+from mdb_sim.teacher import TeacherError
 
 ROLE = "teacher"
 
@@ -48,7 +49,11 @@ class ScriptedTeacher:
         phase = self._schedule.at(scene.iteration - 1)
         if phase.teacher is None:
             return
-        value = self._schedule.judge(_placement(scene.before), scene.action)
+        try:
+            value = self._schedule.judge(_placement(scene.before), scene.action)
+        except TeacherError as error:
+            self.bus.refusals.add(keys.SCENE.path, str(error))
+            return
         message = messages.Feedback(teacher=phase.teacher, iteration=scene.iteration - 1, value=value)
         self._feedback[phase.teacher].put(message)
         self._rewards += 1

@@ -105,9 +105,7 @@ def _draw_episode(axes: Axes, record: RunRecord, episode: Episode, colour: str) 
     return float(max(np.abs([*x, *y]).max(), np.abs(centre).max() + reach_m)) + MARGIN_M
 
 
-def _caption(
-    axes: Axes, title: str, shown: Sequence[tuple[int, Episode]], episodes: Sequence[Episode]
-) -> None:
+def _caption(axes: Axes, title: str, shown: Sequence[tuple[int, Episode]], episodes: Sequence[Episode]) -> None:
     axes.set_title(title, fontsize=12, pad=20)
     if not episodes:
         text = "no captures in this log"

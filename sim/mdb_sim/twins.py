@@ -97,9 +97,7 @@ def compare_bodies(
     leaves the bounds out. RobotError when a body is not an `ArenaRobot` or a count is too small.
     """
     if iterations < 1 or bound_iterations < 0:
-        raise RobotError(
-            f"iterations={iterations}, bound_iterations={bound_iterations}; expected at least 1 and 0"
-        )
+        raise RobotError(f"iterations={iterations}, bound_iterations={bound_iterations}; expected at least 1 and 0")
     config = config or RobotConfig()
     with _arena_robot(first, config) as one, _arena_robot(second, config) as two:
         samples = _run_side_by_side((one, two), (first, second), iterations, seed)
@@ -177,9 +175,7 @@ def _compare_sonar(one: ArenaRobot, two: ArenaRobot, samples: _Samples) -> None:
     samples.count("between: echo heard by one body alone, %", *(heard_one != heard_two).tolist())
 
 
-def _measure_motion(
-    robot: ArenaRobot, name: str, moved: tuple[Placement, int, Step], samples: _Samples
-) -> None:
+def _measure_motion(robot: ArenaRobot, name: str, moved: tuple[Placement, int, Step], samples: _Samples) -> None:
     """What the body did against what the action asks for; being stopped by a thing is no motion error."""
     start, action, step = moved
     config = robot.config

@@ -55,7 +55,10 @@ def test_acting_does_not_wait_for_learning(
             pass
         stopped = collect()
     with capsys.disabled():
-        lines = [f"\nperception to action, ms, an action every {action_s:g} s", "| evolvers | p50 | p95 | p99 | max |"]
+        lines = [
+            f"\nperception to action, ms, an action every {action_s:g} s",
+            "| evolvers | p50 | p95 | p99 | max |",
+        ]
         lines.append("|---|--:|--:|--:|--:|")
         for name, times in (("at work", working), ("stopped", stopped)):
             p50, p95, p99 = np.percentile(times, [50, 95, 99])

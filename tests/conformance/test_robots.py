@@ -5,10 +5,10 @@ import subprocess
 import sys
 
 import pytest
-from robot_conformance import RobotConformance
 
 from mdb_sim.kinematic import KinematicRobot
 from mdb_sim.robot import RobotConfig, RobotError, make_robot
+from tests.conformance.robot_conformance import RobotConformance
 
 
 class TestKinematicRobot(RobotConformance):

@@ -45,7 +45,7 @@ def test_failing_process_is_named_with_its_last_lines(tmp_path: Path) -> None:
         ("evolution.population=-3", "population"),
         ("experiment.iterations=many", "Expected `int`"),
         ("model.objekt.capacity=3", "no entry named 'objekt'; there are communication, object, induced"),
-        ("optimizer.actions=9", "optimizer.actions is 9, but robot.world.turns_deg has 7"),
+        ("optimizer.actions=9", "optimizer.actions is 9, but channels.action has 7"),
         ("nonsense", "expected SECTION.NAME=VALUE"),
         ("robbot.body=kinematic", "unknown section 'robbot'"),
         ("teacher.phase.alone.start=0", "phases start at"),

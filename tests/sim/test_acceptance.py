@@ -48,9 +48,7 @@ def test_one_bad_seed_fails_the_worst_but_not_the_mean_and_stays_visible() -> No
     assert criteria[4].statistic("mean") == pytest.approx((97.8,))
     assert criteria[4].statistic("worst") == (41.0,)
     table = acceptance_table(rows)
-    assert (
-        "| run-5 | 5 | 2000 | never | 80 | 4.0 % | 3.0 % | 99.0 % | 97.0 % | 69 | 41 | 106 | 111 |" in table
-    )
+    assert "| run-5 | 5 | 2000 | never | 80 | 4.0 % | 3.0 % | 99.0 % | 97.0 % | 69 | 41 | 106 | 111 |" in table
     assert table.count("**no**") == 3
     assert "paper's schedule" not in table
 

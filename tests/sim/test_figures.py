@@ -38,9 +38,7 @@ def test_a_whole_run_is_drawn_with_its_phases_as_text(run: Path, tmp_path: Path)
     paths = draw(run, tmp_path / "figures")
     check_files(paths, tmp_path / "figures", NAMES)
     for svg in (paths[1], paths[3]):
-        assert all(
-            name in text_of(svg) for name in ("first teacher", "alone", "second teacher", "alone again")
-        )
+        assert all(name in text_of(svg) for name in ("first teacher", "alone", "second teacher", "alone again"))
     assert "16 in 20–100" in text_of(paths[3])
     assert "random" in text_of(paths[3])
     assert "median of all 36 captures: 5 steps" in text_of(paths[5])

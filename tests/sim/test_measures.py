@@ -31,9 +31,7 @@ Report = Callable[[int], IterationReport]
 
 def small_experiment(*, scripted: bool = True) -> Experiment:
     """The paper's experiment with phases of 100 iterations, and known languages."""
-    content = read_file(
-        PAPER, [f"experiment.iterations={ITERATIONS}", f"optimizer.random_iterations={RANDOM}"]
-    )
+    content = read_file(PAPER, [f"experiment.iterations={ITERATIONS}", f"optimizer.random_iterations={RANDOM}"])
     for number, phase in enumerate(content["teacher"]["phase"]):
         phase["start"] = number * PHASE
         if "language" in phase:
@@ -140,9 +138,7 @@ def current_model(version: int, network: Network, error: float) -> CurrentModel:
     )
 
 
-def write_run(
-    run: Path, iterations: int = ITERATIONS, *, scenes: Callable[[int], Scene] = scene
-) -> RunRecord:
+def write_run(run: Path, iterations: int = ITERATIONS, *, scenes: Callable[[int], Scene] = scene) -> RunRecord:
     """Write a run of the small experiment and read it back."""
     log = Log(run)
     names = ("first teacher", "alone", "second teacher", "alone again")

@@ -34,9 +34,7 @@ def test_the_ring_is_the_pioneers():
     assert TRANSDUCERS[11] == pytest.approx([-0.255, -0.027, math.radians(-170)])
     mirrored = {(round(x, 3), round(-y, 3), round(-heading, 6)) for x, y, heading in TRANSDUCERS}
     assert mirrored == {(round(x, 3), round(y, 3), round(heading, 6)) for x, y, heading in TRANSDUCERS}
-    assert (TRANSDUCERS[:, 0].max() + TRANSDUCERS[:, 0].min()) / 2 == pytest.approx(
-        BODY_CENTRE_X_M, abs=0.001
-    )
+    assert (TRANSDUCERS[:, 0].max() + TRANSDUCERS[:, 0].min()) / 2 == pytest.approx(BODY_CENTRE_X_M, abs=0.001)
 
 
 def test_rays_fan_out_about_each_axis_and_turn_with_the_robot():

@@ -18,7 +18,11 @@ Floats = NDArray[np.float32]
 Facts = dict[str, NDArray[np.float64]]
 """Variable name to its values, shape (n,): one a case."""
 
-Encoding = Literal["scalar", "one_hot", "rank"]
+Encoding = Literal["scalar", "one_hot", "rank", "value"]
+
+NOT_SENSED = ("note", "action", "feedback")
+DERIVED = ("next.", "covered.")
+"""Variables, and the beginnings of variables, that no sensor may be named: such a reading is left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +30,8 @@ class Channel:
     """How one variable becomes numbers in about [-1, 1].
 
     `scalar` maps `low`..`high` to -1..1; `rank` maps an index to the place of its value among the sorted
-    `values`; `one_hot` gives `size` columns, 1 for the index and 0 elsewhere.
+    `values`, `value` to that value itself; `one_hot` gives `size` columns, 1 for the index and 0 elsewhere.
+    `of` names the variable when the channel is a second reading of it.
     """
 
     encoding: Encoding = "scalar"
@@ -34,31 +39,50 @@ class Channel:
     high: float = 1.0
     size: int = 0
     values: tuple[float, ...] = ()
+    of: str | None = None
 
     def __post_init__(self) -> None:
+        if not np.isfinite((self.low, self.high, *self.values)).all():
+            raise ValueError(f"low {self.low}, high {self.high}, values {self.values}: expected finite numbers")
         if self.encoding == "scalar" and not self.low < self.high:
             raise ValueError(f"low {self.low} and high {self.high}: expected low < high")
         if self.encoding == "one_hot" and self.size < 1:
             raise ValueError(f"size {self.size}: a one_hot channel needs its number of values")
-        if self.encoding == "rank" and len(self.values) < 2:
-            raise ValueError(f"{len(self.values)} values: a rank channel needs the value of each index")
+        if self.encoding in ("rank", "value") and len(set(self.values)) < 2:
+            raise ValueError(f"values {self.values}: a {self.encoding} channel needs one of each index, not equal")
 
     @property
     def width(self) -> int:
         """Columns in a row."""
         return self.size if self.encoding == "one_hot" else 1
 
+    @property
+    def indices(self) -> int | None:
+        """How many values there are to be one of; None for a scalar."""
+        return {"scalar": None, "one_hot": self.size}.get(self.encoding, len(self.values))
+
+    def has(self, values: NDArray[np.float64]) -> bool:
+        """Whether all values (n,) can be encoded: an index that the channel lacks cannot."""
+        if self.indices is None:
+            return True
+        return bool(((values >= 0) & (values < self.indices) & (values == np.floor(values))).all())
+
     def encode(self, values: NDArray[np.float64]) -> Floats:
         """Return (n, width) float32 of values (n,)."""
         if self.encoding == "one_hot":
             columns = np.arange(self.size)
-            return (values[:, None] == columns).astype(np.float32)
+            hot: Floats = (values[:, None] == columns).astype(np.float32)
+            return hot
         if self.encoding == "rank":
             places = np.argsort(np.argsort(np.asarray(self.values), kind="stable"), kind="stable")
             scaled = places[values.astype(np.intp)] * (2.0 / (len(self.values) - 1)) - 1.0
+        elif self.encoding == "value":
+            low, high = min(self.values), max(self.values)
+            scaled = (np.asarray(self.values)[values.astype(np.intp)] - low) * (2.0 / (high - low)) - 1.0
         else:
             scaled = (values - self.low) * (2.0 / (self.high - self.low)) - 1.0
-        return np.clip(scaled, -1.5, 1.5).astype(np.float32)[:, None]
+        column: Floats = np.clip(scaled, -1.5, 1.5).astype(np.float32)[:, None]
+        return column
 
     def decode(self, column: Floats) -> NDArray[np.float64]:
         """Return the values (n,) of a scalar column (n,)."""
@@ -77,10 +101,10 @@ def gather(
 ) -> Facts:
     """Return the facts of one pair, each of shape (1,); what is None or missing is absent."""
     facts: Facts = {}
-    for name, value in (before or {}).items():
-        facts[name] = np.array([value])
-    for name, value in (after or {}).items():
-        facts[f"next.{name}"] = np.array([value])
+    for prefix, reading in (("", before or {}), ("next.", after or {})):
+        for name, value in reading.items():
+            if name not in NOT_SENSED and not name.startswith(DERIVED):
+                facts[prefix + name] = np.array([value])
     for name, given in (("note", note), ("action", action), ("feedback", feedback)):
         if given is not None:
             facts[name] = np.array([float(given)])
@@ -97,9 +121,7 @@ def with_changes(facts: Facts) -> Facts:
 class Codebook:
     """Inputs and outputs of one model: which variables, how encoded, in which columns."""
 
-    def __init__(
-        self, channels: Mapping[str, Channel], inputs: Sequence[str], outputs: Sequence[str]
-    ) -> None:
+    def __init__(self, channels: Mapping[str, Channel], inputs: Sequence[str], outputs: Sequence[str]) -> None:
         """Take the channels by variable name. KeyError, ValueError when a variable has no usable channel."""
         for name in (*inputs, *outputs):
             if name not in channels:
@@ -115,7 +137,7 @@ class Codebook:
         return sum(self._channels[name].width for name in self.inputs)
 
     def input_rows(self, facts: Facts) -> Floats | None:
-        """Return (n, width), or None when a variable is not among the facts."""
+        """Return (n, width), or None when a variable is not among the facts or is no value of its channel."""
         return self._rows(self.inputs, facts)
 
     def target_rows(self, facts: Facts) -> Floats | None:
@@ -124,9 +146,10 @@ class Codebook:
         return None if rows is None else np.clip(rows, -1.0, 1.0)
 
     def _rows(self, names: tuple[str, ...], facts: Facts) -> Floats | None:
-        if any(name not in facts for name in names):
+        read = [(self._channels[name], facts.get(self._channels[name].of or name)) for name in names]
+        if any(values is None or not channel.has(values) for channel, values in read):
             return None
-        return np.concatenate([self._channels[name].encode(facts[name]) for name in names], axis=1)
+        return np.concatenate([channel.encode(values) for channel, values in read if values is not None], axis=1)
 
     def predicted(self, outputs: Floats) -> Facts:
         """Return predicted outputs (n, outputs) as facts, in the variables' own units."""

@@ -27,6 +27,7 @@ def compiled(function: _Function) -> _Function:
     """Compile at the first call and keep the result on disk; arrays are not checked for their bounds.
 
     A check for division by zero would keep loops from becoming vector instructions, hence numpy's error model.
+    The disk cache looks at a function's own file only: after editing this one, also touch ``operators.py``.
     """
     return cast(_Function, njit(cache=True, fastmath=_FAST, error_model="numpy")(function))
 

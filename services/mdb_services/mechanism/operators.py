@@ -30,7 +30,7 @@ _SUM_MEAN, _SUM_SCALE = np.float32(131070.0), np.float32((3.0 / (2.0**32 - 1.0))
 
 
 class Settings(NamedTuple):
-    """The numbers of `pbga.EvolutionConfig` that the compiled code needs."""
+    """The numbers of `settings.EvolutionConfig` that the compiled code needs."""
 
     elite: int
     parent_share: float

@@ -1,0 +1,108 @@
+"""The inbox that all buses share: nothing newer is lost, nothing grows without bound, junk is counted."""
+
+import threading
+from typing import Any
+
+import pytest
+
+from mdb_protocol import bus as bus_module
+from mdb_protocol import codec, keys, messages
+from mdb_protocol.bus import Raw
+from mdb_protocol.errors import BusError
+from mdb_protocol.memory_bus import Fabric, MemoryBus
+
+BRAIN = "test"
+
+
+def action(iteration: int) -> messages.Action:
+    return messages.Action(iteration=iteration, action=1, valid_for_s=1.0)
+
+
+def raw_action(iteration: int) -> Raw:
+    key, encoding = keys.ACTION.at(BRAIN), codec.encoding_of(messages.Action)
+    return Raw(key, codec.encode(action(iteration)), encoding)
+
+
+def test_a_value_that_comes_while_the_one_before_is_read_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    inbox = MemoryBus(Fabric(), BRAIN).subscriber(keys.ACTION)
+    inbox.put(raw_action(1))
+    read = bus_module.read
+
+    def read_slowly(*arguments: Any) -> Any:
+        monkeypatch.setattr(bus_module, "read", read)
+        inbox.put(raw_action(2))
+        return read(*arguments)
+
+    monkeypatch.setattr(bus_module, "read", read_slowly)
+    assert inbox.take().iteration == 1
+    assert inbox.take().iteration == 2
+    assert inbox.take() is None
+
+
+def test_junk_behind_a_good_value_does_not_hide_it() -> None:
+    bus = MemoryBus(Fabric(), BRAIN)
+    inbox = bus.subscriber(keys.ACTION)
+    inbox.put(raw_action(1))
+    inbox.put(raw_action(2))
+    for _ in range(5):
+        inbox.put(Raw(keys.ACTION.at(BRAIN), b"junk", codec.encoding_of(messages.Action)))
+    assert inbox.take().iteration == 2
+    assert inbox.take() is None
+    assert bus.refusals.counts[keys.ACTION.path] == 5
+
+
+def test_waking_needs_no_memory_when_nobody_waits() -> None:
+    bus = MemoryBus(Fabric(), BRAIN)
+    inbox = bus.subscriber(keys.ACTION)
+    for i in range(1000):
+        inbox.put(raw_action(i))
+        inbox.take()
+    assert bus._wake._marks.qsize() <= 1
+    assert bus.wait(0.0) is True
+    assert bus.wait(0.0) is False
+
+
+def test_a_message_wakes_the_one_who_waits() -> None:
+    fabric = Fabric()
+    reader, writer = MemoryBus(fabric, BRAIN), MemoryBus(fabric, BRAIN)
+    inbox = reader.subscriber(keys.ACTION)
+    reader.wait(0.0)
+    publisher = writer.publisher(keys.ACTION)
+    for i in range(200):
+        thread = threading.Thread(target=publisher.put, args=(action(i),))
+        thread.start()
+        assert reader.wait(5.0)
+        assert inbox.take().iteration == i
+        thread.join()
+
+
+def test_a_full_inbox_drops_the_oldest_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_module, "RELIABLE_KEPT", 3)
+    bus = MemoryBus(Fabric(), BRAIN)
+    inbox = bus.subscriber(keys.FINISHED)
+    publisher = bus.publisher(keys.FINISHED)
+    for i in range(5):
+        publisher.put(messages.Finished(iterations=i))
+    assert [inbox.take().iterations for _ in range(3)] == [2, 3, 4]
+    assert inbox.take() is None
+    assert bus.refusals.counts[keys.FINISHED.path] == 2
+
+
+def test_a_sample_on_another_key_or_in_anothers_name_is_refused() -> None:
+    bus = MemoryBus(Fabric(), BRAIN)
+    inbox = bus.subscriber(keys.COMMAND)
+    command = codec.encode(messages.Command(teacher="anna", iteration=1, note=1))
+    encoding = codec.encoding_of(messages.Command)
+    for key in ("mdb/test/teacher/bert/command", "mdb/test/teacher/*/command", "mdb/other/teacher/anna/command", ""):
+        inbox.put(Raw(key, command, encoding))
+    assert inbox.take() is None
+    assert bus.refusals.counts[keys.COMMAND.path] == 4
+
+
+def test_a_closed_bus_refuses_to_publish_and_closes_twice() -> None:
+    bus = MemoryBus(Fabric(), BRAIN)
+    publisher = bus.publisher(keys.ACTION)
+    bus.close()
+    bus.close()
+    with pytest.raises(BusError, match="closed"):
+        publisher.put(action(1))

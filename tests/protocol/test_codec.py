@@ -1,0 +1,261 @@
+"""The codec: every message comes back as it went; anything else is a DecodeError and nothing but."""
+
+import math
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mdb_protocol import codec, messages
+from mdb_protocol.errors import DecodeError
+from mdb_protocol.messages import Message
+from tests.protocol.samples import SAMPLES, TYPES, fixed
+
+every_message = pytest.mark.parametrize("cls", TYPES, ids=lambda cls: cls.__name__)
+
+
+def same(one: Any, other: Any) -> bool:
+    """Equality field by field: structs that hold arrays cannot be compared with ==."""
+    if isinstance(one, np.ndarray):
+        return isinstance(other, np.ndarray) and one.dtype == other.dtype and np.array_equal(one, other)
+    if isinstance(one, Message):
+        return type(one) is type(other) and all(
+            same(getattr(one, field), getattr(other, field)) for field in one.__struct_fields__
+        )
+    return bool(one == other)
+
+
+def accepted(cls: type[Message], payload: bytes) -> Message | None:
+    """The message, whole, or None when it was refused with the one error that is allowed."""
+    try:
+        message = codec.decode(cls, payload, codec.encoding_of(cls))
+    except DecodeError:
+        return None
+    assert same(codec.decode(cls, codec.encode(message), codec.encoding_of(cls)), message)
+    return message
+
+
+def packed(cls: type[Message], **fields: Any) -> bytes:
+    """The bytes of a valid message with some fields put to what no class would let through."""
+    plain = {
+        messages.Action: {"iteration": 1, "action": 1, "valid_for_s": 1.0},
+        messages.Command: {"teacher": "anna", "iteration": 1, "note": 1},
+        messages.Feedback: {"teacher": "anna", "iteration": 1, "value": 0.5},
+        messages.Perception: {"iteration": 1, "event": "none", "outcome": {}, "reading": {"distance": 1.0}},
+        messages.Pair: {
+            "iteration": 1, "before": {}, "note": 1, "action": 1, "after": {}, "feedback": 1.0, "versions": {},
+        },
+        messages.IterationReport: {
+            "iteration": 1, "mode": "m", "action": 1, "explored": False, "predicted": 0.5, "note": None,
+            "feedback": None, "event": "none", "prequential": {}, "versions": {},
+        },
+        messages.Timing: {"iteration": 1, "perception_to_action_s": 0.1, "cycle_s": 0.1},
+        messages.Finished: {"iterations": 1},
+        messages.MemoryChange: {
+            "model": "m", "version": 1, "slot": 0, "pair": 1, "evicted": None,
+            "inputs": array("<f4", [1], bytes(4)), "targets": array("<f4", [1], bytes(4)),
+        },
+        messages.MemorySnapshot: {
+            "model": "m", "version": 1, "pairs": array("<i8", [1], bytes(8)),
+            "inputs": array("<f4", [1, 2], bytes(8)), "targets": array("<f4", [1, 1], bytes(4)),
+        },
+        messages.CurrentModel: {
+            "model": "m", "version": 1, "generation": 1, "layers": [1, 1],
+            "weights": array("<f4", [2], bytes(8)), "error": 0.5,
+        },
+    }[cls]  # fmt: skip
+    return bytes(msgpack.packb(plain | fields))
+
+
+def array(dtype: Any, shape: Any, raw: Any) -> msgpack.ExtType:
+    return msgpack.ExtType(codec.ARRAY_EXT, msgpack.packb([dtype, shape, raw]))
+
+
+def test_every_class_of_the_key_table_has_samples() -> None:
+    assert set(SAMPLES) == set(TYPES)
+
+
+@every_message
+def test_a_message_comes_back_as_it_went(cls: type[Message]) -> None:
+    @fixed
+    @given(SAMPLES[cls])
+    def check(message: Message) -> None:
+        back = codec.decode(cls, codec.encode(message), codec.encoding_of(cls))
+        assert same(message, back)
+        assert isinstance(codec.to_plain(back), dict)
+
+    check()
+
+
+@every_message
+def test_random_bytes_are_refused_or_whole(cls: type[Message]) -> None:
+    @fixed
+    @given(st.binary(max_size=200))
+    def check(payload: bytes) -> None:
+        accepted(cls, payload)
+
+    check()
+
+
+@every_message
+def test_truncated_messages_are_refused(cls: type[Message]) -> None:
+    @fixed
+    @given(SAMPLES[cls], st.floats(0, 1, exclude_max=True))
+    def check(message: Message, share: float) -> None:
+        payload = codec.encode(message)
+        assert accepted(cls, payload[: int(len(payload) * share)]) is None
+        assert accepted(cls, payload + b"\x00") is None
+
+    check()
+
+
+@every_message
+def test_mutated_bytes_are_refused_or_whole(cls: type[Message]) -> None:
+    @fixed
+    @given(SAMPLES[cls], st.lists(st.tuples(st.integers(0, 2**16), st.integers(0, 255)), min_size=1, max_size=4))
+    def check(message: Message, changes: list[tuple[int, int]]) -> None:
+        payload = bytearray(codec.encode(message))
+        for place, value in changes:
+            payload[place % len(payload)] = value
+        accepted(cls, bytes(payload))
+
+    check()
+
+
+texts = st.text(max_size=8)
+plain_values = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | texts | st.binary(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts | st.binary(max_size=4), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@every_message
+def test_a_field_of_another_type_is_refused_or_whole(cls: type[Message]) -> None:
+    fields = cls.__struct_fields__
+
+    @fixed
+    @given(SAMPLES[cls], st.sampled_from(fields), plain_values)
+    def check(message: Message, field: str, value: Any) -> None:
+        plain = msgpack.unpackb(codec.encode(message))
+        accepted(cls, msgpack.packb(plain | {field: value}))
+        assert accepted(cls, msgpack.packb({k: v for k, v in plain.items() if k != field})) is None or (
+            cls is messages.Phase and field == "teacher"
+        )
+
+    check()
+
+
+@every_message
+def test_unknown_fields_are_accepted_and_other_encodings_refused(cls: type[Message]) -> None:
+    @fixed
+    @given(SAMPLES[cls])
+    def check(message: Message) -> None:
+        payload = codec.encode(message)
+        newer = msgpack.packb(msgpack.unpackb(payload) | {"field_of_tomorrow": [1, {"a": 2}]})
+        right = codec.encoding_of(cls)
+        assert same(codec.decode(cls, newer, right), message)
+        for wrong in ("", "text/plain", right.replace("mdb=1", "mdb=2"), right + "x", right.lower()):
+            with pytest.raises(DecodeError, match="encoding is"):
+                codec.decode(cls, payload, wrong)
+
+    check()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("cls", "fields"),
+    [
+        (messages.Action, lambda v: {"valid_for_s": v}),
+        (messages.Feedback, lambda v: {"value": v}),
+        (messages.Perception, lambda v: {"reading": {"distance": v}}),
+        (messages.Perception, lambda v: {"outcome": {"distance": v}}),
+        (messages.Pair, lambda v: {"before": {"distance": v}}),
+        (messages.Pair, lambda v: {"feedback": v}),
+        (messages.CurrentModel, lambda v: {"error": v}),
+        (messages.CurrentModel, lambda v: {"weights": array("<f8", [2], np.array([0, v]).tobytes())}),
+        (messages.MemoryChange, lambda v: {"inputs": array("<f8", [1], np.array([v]).tobytes())}),
+        (messages.IterationReport, lambda v: {"predicted": v}),
+        (messages.IterationReport, lambda v: {"feedback": v}),
+        (messages.IterationReport, lambda v: {"prequential": {"object": v}}),
+        (messages.Timing, lambda v: {"cycle_s": v}),
+        (messages.Timing, lambda v: {"perception_to_action_s": v}),
+    ],
+)
+def test_numbers_that_are_not_finite_are_refused(cls: type[Message], fields: Any, bad: float) -> None:
+    assert accepted(cls, packed(cls)) is not None
+    assert accepted(cls, packed(cls, **fields(bad))) is None
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        array("<f4", [2], bytes(4)),
+        array("<f4", [1], bytes(5)),
+        array("<f4", [], bytes(4)),
+        array("<f4", [1, 1, 1, 1, 1], bytes(4)),
+        array("<f4", [-1], bytes(4)),
+        array("<f4", [True], bytes(4)),
+        array("<f4", [0, 2**64 - 1], b""),
+        array("<f4", [2**62, 2**62, 0], b""),
+        array("<f4", [2**40], b""),
+        array("<f4", [1, 1], bytes(4)),
+        array("<i8", [1], bytes(8)),
+        array("|O", [1], bytes(8)),
+        array("<c8", [1], bytes(8)),
+        array(["<f4"], [1], bytes(4)),
+        array("<f4", "1", bytes(4)),
+        array("<f4", [1], "abcd"),
+        array("<f4", [1], None),
+        msgpack.ExtType(codec.ARRAY_EXT, b""),
+        msgpack.ExtType(codec.ARRAY_EXT, b"\xc1"),
+        msgpack.ExtType(codec.ARRAY_EXT, msgpack.packb({"a": 1})),
+        msgpack.ExtType(codec.ARRAY_EXT, msgpack.packb([array("<f4", [1], bytes(4))] * 3)),
+        msgpack.ExtType(2, bytes(4)),
+        msgpack.Timestamp(1, 2),
+        [0.5],
+        0.5,
+        None,
+    ],
+    ids=range(26),
+)
+def test_damaged_arrays_are_refused(value: Any) -> None:
+    assert accepted(messages.MemoryChange, packed(messages.MemoryChange, inputs=value)) is None
+
+
+def test_rows_that_do_not_fit_each_other_are_refused() -> None:
+    two = array("<i8", [2], bytes(16))
+    assert accepted(messages.MemorySnapshot, packed(messages.MemorySnapshot, pairs=two)) is None
+    assert accepted(messages.CurrentModel, packed(messages.CurrentModel, layers=[2, 1])) is None
+    assert accepted(messages.CurrentModel, packed(messages.CurrentModel, layers=[4096] * 8)) is None
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a*", "a\n", "ä", "x" * 65, "a b", "a\x00"])
+def test_names_that_no_key_could_have_are_refused(name: str) -> None:
+    assert accepted(messages.Command, packed(messages.Command, teacher=name)) is None
+    assert accepted(messages.Perception, packed(messages.Perception, reading={name: 1.0})) is None
+
+
+def test_huge_and_deep_payloads_are_refused() -> None:
+    assert accepted(messages.Finished, bytes(codec.MAX_BYTES + 1)) is None
+    assert accepted(messages.Finished, b"\x91" * 100_000) is None
+    assert accepted(messages.Finished, b"\x81\xa1a" * 100_000) is None
+    assert accepted(messages.Finished, b"\xdd\xff\xff\xff\xff") is None
+    assert accepted(messages.Finished, b"\xc6\xff\xff\xff\xff") is None
+
+
+def test_numbers_that_are_no_counts_are_refused() -> None:
+    for value in (-1, 2**53 + 1, 2**64 - 1, 1.0, True, "1", None):
+        assert accepted(messages.Finished, packed(messages.Finished, iterations=value)) is None
+
+
+def test_what_cannot_travel_is_refused_at_the_sender() -> None:
+    one = np.zeros(1, np.int32)
+    row = np.zeros((1, 1), np.float32)
+    with pytest.raises(TypeError, match="dtype is"):
+        codec.encode(messages.MemorySnapshot(model="m", version=1, pairs=one, inputs=row, targets=row))
+    with pytest.raises(TypeError, match="cannot be sent"):
+        codec.encode(messages.Phase(iteration=1, name=object()))  # type: ignore[arg-type]

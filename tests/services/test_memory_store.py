@@ -1,0 +1,313 @@
+"""The memory store on a real file: durable before acknowledged, once each, and the same after a restart."""
+
+import sqlite3
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mdb_protocol import keys, messages
+from mdb_protocol.bus import Inbox
+from mdb_protocol.errors import MdbError
+from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_services.config import BrainConfig, brain_config
+from mdb_services.memory_store import MemoryStore, PairFile
+from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, pair
+
+RELEVANCE = {"recency": 0.3, "distance": 1.0, "current_error": 1.0, "entry_error": 0.5}
+
+
+class Rig:
+    """A memory store between its writers and its readers."""
+
+    def __init__(self, path: Path, settings: BrainConfig) -> None:
+        self.path, self.settings = path, settings
+        self.fabric = Fabric()
+        self.outside = MemoryBus(self.fabric, BRAIN)
+        self.pairs = self.outside.publisher(keys.PAIR)
+        self.stored = self.outside.subscriber(keys.PAIR_STORED)
+        self.changes = self.outside.subscriber(keys.MEMORY_CHANGE)
+        self.now = 0.0
+        self.store = self._start()
+
+    def _start(self) -> MemoryStore:
+        bus = MemoryBus(self.fabric, BRAIN)
+        return MemoryStore(bus, self.settings, PairFile(self.path), clock=lambda: self.now)
+
+    def restart(self) -> None:
+        """As after a kill: what was in memory is gone."""
+        self.store.close()
+        self.store.bus.close()
+        self.store = self._start()
+
+    def give(self, *pairs: messages.Pair) -> None:
+        for one in pairs:
+            self.pairs.put(one)
+        self.store.step()
+
+    def show(self, current: messages.CurrentModel) -> None:
+        self.outside.publisher(keys.CURRENT_MODEL, model=current.model).put(current)
+        self.store.step()
+
+    def snapshots(self) -> dict[str, dict[str, Any]]:
+        return {
+            answer.model: {"version": answer.version, "pairs": answer.pairs.tolist(),
+                           "inputs": answer.inputs.tolist(), "targets": answer.targets.tolist()}
+            for answer in self.outside.query(keys.MEMORY_SNAPSHOT, 1.0)
+        }  # fmt: skip
+
+
+def taken(inbox: Inbox) -> list[Any]:
+    return list(iter(inbox.take, None))
+
+
+MakeRig = Callable[..., Rig]
+
+
+@pytest.fixture
+def make_rig(tmp_path: Path) -> Iterator[MakeRig]:
+    made: list[Rig] = []
+
+    def make(settings: BrainConfig | None = None) -> Rig:
+        made.append(Rig(tmp_path / "memory.sqlite", settings or config()))
+        return made[-1]
+
+    yield make
+    for rig in made:
+        rig.store.close()
+
+
+def on_disk(path: Path) -> list[int]:
+    """What another process finds in the file."""
+    with sqlite3.connect(path) as db:
+        return [row[0] for row in db.execute("SELECT iteration FROM pair ORDER BY iteration")]
+
+
+def test_a_pair_is_on_disk_before_it_is_acknowledged(make_rig: MakeRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = make_rig()
+    found: list[list[int]] = []
+    put = rig.store._stored.put
+    monkeypatch.setattr(rig.store._stored, "put", lambda message: (found.append(on_disk(rig.path)), put(message)))
+    rig.give(pair(0), pair(1))
+    assert found == [[0], [0, 1]]
+    assert [answer.iteration for answer in taken(rig.stored)] == [0, 1]
+
+
+def test_each_pair_changes_the_memory_of_every_model_it_has_the_variables_of(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.give(pair(0), pair(1, feedback=None), pair(2, note=None, feedback=None), pair(3, after={}))
+    changes = taken(rig.changes)
+    assert [(c.model, c.pair, c.version) for c in changes] == [
+        ("communication", 0, 1), ("object", 0, 1), ("object", 1, 2), ("object", 2, 3), ("communication", 3, 2),
+    ]  # fmt: skip
+    assert [answer.versions for answer in taken(rig.stored)] == [
+        {"communication": 1, "object": 1}, {"communication": 1, "object": 2}, {"communication": 1, "object": 3},
+        {"communication": 2, "object": 3},
+    ]  # fmt: skip
+    snapshots = rig.snapshots()
+    assert snapshots["communication"]["pairs"] == [0, 3]
+    assert snapshots["object"]["pairs"] == [0, 1, 2]
+    assert np.shape(snapshots["communication"]["inputs"]) == (2, 4)
+
+
+def test_a_full_memory_says_who_left_and_where_the_new_one_is(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.give(*(pair(i) for i in range(6)))
+    changes = [c for c in taken(rig.changes) if c.model == "object"]
+    assert [(c.slot, c.evicted) for c in changes] == [(0, None), (1, None), (2, None), (3, None), (0, 0), (1, 1)]
+    assert rig.snapshots()["object"]["pairs"] == [4, 5, 2, 3]
+
+
+def test_a_pair_sent_again_gets_the_same_answer_and_is_not_stored_twice(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.give(pair(0), pair(1))
+    first, _ = taken(rig.stored)
+    before = rig.snapshots()
+    taken(rig.changes)
+    rig.give(pair(0), pair(0, action=2))
+    assert taken(rig.stored) == [first, first]
+    assert taken(rig.changes) == []
+    assert rig.snapshots() == before
+    assert rig.store.values()["duplicates"] == 2
+    rig.restart()
+    rig.give(pair(0))
+    assert taken(rig.stored) == [first]
+    assert on_disk(rig.path) == [0, 1]
+
+
+@pytest.mark.parametrize("memory", [{}, RELEVANCE], ids=["first-in-first-out", "relevance"])
+def test_a_restart_finds_the_same_memories_versions_and_models(make_rig: MakeRig, memory: dict[str, float]) -> None:
+    rig = make_rig(config(memory=memory))
+    for i in range(25):
+        if i % 4 == 1:
+            rig.show(model("object", i, last=0.1 * (i % 7)))
+            rig.show(model("communication", i, last=-0.1 * (i % 5)))
+        rig.give(pair(i, before={"distance": (0.37 * i) % 2}, after={"distance": (0.53 * i) % 2}))
+    before, models = rig.snapshots(), rig.outside.query(keys.KEPT_MODEL, 1.0)
+    states = {name: memory.stm.state() for name, memory in rig.store._memories.items()}
+    rig.restart()
+    assert rig.snapshots() == before
+    assert [m.version for m in rig.outside.query(keys.KEPT_MODEL, 1.0)] == [m.version for m in models] == [21, 21]
+    for name, memory_after in rig.store._memories.items():
+        for field, array in memory_after.stm.state().items():
+            np.testing.assert_array_equal(array, states[name][field], err_msg=f"{name} {field}")
+
+
+@pytest.mark.parametrize("memory", [{}, RELEVANCE], ids=["first-in-first-out", "relevance"])
+def test_a_run_with_restarts_goes_on_like_one_without(tmp_path: Path, memory: dict[str, float]) -> None:
+    logs = []
+    for name, restarts in (("straight", set()), ("broken", {6, 13})):
+        rig = Rig(tmp_path / f"{name}.sqlite", config(memory=memory))
+        for i in range(20):
+            if i in restarts:
+                rig.restart()
+            rig.show(model("object", i + 1, last=0.1 * (i % 7)))
+            rig.give(pair(i, before={"distance": (0.37 * i) % 2}, after={"distance": (0.53 * i) % 2}))
+        logs.append([(c.model, c.version, c.slot, c.pair, c.evicted) for c in taken(rig.changes)])
+        rig.store.close()
+    assert logs[0] == logs[1]
+
+
+def test_a_failing_write_leaves_memory_and_disk_as_they_were(make_rig: MakeRig) -> None:
+    rig = make_rig(config(memory=RELEVANCE))
+    rig.give(*(pair(i) for i in range(6)))
+    before = rig.snapshots()
+    taken(rig.changes), taken(rig.stored)
+    rig.store._file._db.execute("PRAGMA query_only = 1")
+    rig.pairs.put(pair(6))
+    with pytest.raises(sqlite3.OperationalError, match="readonly"):
+        rig.store.step()
+    assert rig.snapshots() == before
+    assert (taken(rig.changes), taken(rig.stored)) == ([], [])
+    rig.store._file._db.execute("PRAGMA query_only = 0")
+    rig.give(pair(6))
+    assert [(c.model, c.pair, c.version) for c in taken(rig.changes)] == [("communication", 6, 7), ("object", 6, 7)]
+    (answer,) = taken(rig.stored)
+    assert answer.versions == {"communication": 7, "object": 7}
+    after = rig.snapshots()
+    assert 6 in after["object"]["pairs"]
+    rig.restart()
+    assert rig.snapshots() == after
+
+
+def test_a_full_disk_says_so_and_nothing_is_half_written(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    database = rig.store._file._db
+    database.execute("PRAGMA max_page_count = 1")  # no page more than there are
+    failed = 0
+    for i in range(200):
+        rig.pairs.put(pair(i))
+        try:
+            rig.store.step()
+        except sqlite3.OperationalError as error:
+            assert "full" in str(error)  # noqa: PT017 - the first of many pairs that finds no room
+            failed = i
+            break
+    assert failed
+    assert not database.in_transaction
+    database.execute("PRAGMA max_page_count = 100000")
+    rig.give(pair(failed))
+    assert [answer.iteration for answer in taken(rig.stored)] == list(range(failed + 1))
+    assert on_disk(rig.path) == list(range(failed + 1))
+
+
+def _filled(path: Path, settings: BrainConfig | None = None) -> None:
+    rig = Rig(path, settings or config())
+    rig.give(*(pair(i) for i in range(40)))
+    rig.store.close()
+
+
+def _damage_pages(path: Path) -> None:
+    _filled(path)
+    content = bytearray(path.read_bytes())
+    content[4096:] = b"\xff" * (len(content) - 4096)
+    path.write_bytes(content)
+
+
+def _spoil_payloads(path: Path) -> None:
+    _filled(path)
+    with sqlite3.connect(path) as db:
+        db.execute("UPDATE pair SET payload = x'c1'")
+
+
+def _other_tables(path: Path) -> None:
+    with sqlite3.connect(path) as db:
+        db.execute("CREATE TABLE pair (a, b)")
+
+
+def _other_experiment(path: Path) -> None:
+    bigger = [one | {"capacity": 9} for one in CONTENT["model"]]
+    _filled(path, brain_config(CONTENT | {"model": bigger}, "bigger.toml"))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(b"not a database at all, but long enough to look at" * 100),
+        lambda path: path.mkdir(),
+        _damage_pages,
+        _spoil_payloads,
+        _other_tables,
+        _other_experiment,
+    ],
+    ids=["text", "folder", "pages", "payloads", "tables", "capacity"],
+)
+def test_a_file_that_cannot_be_used_is_a_clear_error(tmp_path: Path, damage: Callable[[Path], object]) -> None:
+    path = tmp_path / "memory.sqlite"
+    damage(path)
+    with pytest.raises(MdbError, match=r"memory\.sqlite.*[Mm]ove it away"):
+        MemoryStore(MemoryBus(Fabric(), BRAIN), config(), PairFile(path))
+
+
+def test_models_that_do_not_fit_are_refused_and_the_last_good_one_kept(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.show(model("object", 1))
+    rig.show(model("object", 2, layers=[5, 0, 1]))
+    rig.show(model("object", 3, layers=[2, 1]))
+    rig.show(model("stranger", 4, layers=[2, 0, 1]))
+    (kept,) = rig.outside.query(keys.KEPT_MODEL, 1.0)
+    assert (kept.model, kept.version) == ("object", 1)
+    assert rig.store.bus.refusals.counts[keys.CURRENT_MODEL.path] == 2
+    rig.give(pair(0))
+    assert len(taken(rig.stored)) == 1
+
+
+@pytest.mark.parametrize("fields", [{"note": 99}, {"action": 99}, {"before": {"sound": 1.0}}])
+def test_pairs_with_what_no_model_knows_are_stored_and_change_no_memory(make_rig: MakeRig, fields: dict) -> None:
+    rig = make_rig()
+    rig.give(pair(0, **({"before": {}} | fields)), pair(1))
+    assert [answer.iteration for answer in taken(rig.stored)] == [0, 1]
+    unknown = {c.model for c in taken(rig.changes) if c.pair == 0}
+    assert unknown == ({"communication"} if "before" in fields else set())
+
+
+def test_in_lockstep_a_pair_waits_for_the_models_it_was_acted_upon(make_rig: MakeRig) -> None:
+    rig = make_rig(config(experiment=LOCKSTEP))
+    rig.give(pair(0, versions={"object": 2, "stranger": 7}), pair(1))
+    assert taken(rig.stored) == []
+    rig.show(model("object", 1))
+    assert taken(rig.stored) == []
+    rig.show(model("object", 2))
+    assert [answer.iteration for answer in taken(rig.stored)] == [0, 1]
+
+
+def test_in_lockstep_a_pair_does_not_wait_for_ever(make_rig: MakeRig) -> None:
+    rig = make_rig(config(experiment=LOCKSTEP, optimizer={"actions": 3, "lockstep_patience_s": 10.0}))
+    rig.give(pair(0, versions={"object": 2}))
+    rig.now = 9.9
+    rig.store.step()
+    assert taken(rig.stored) == []
+    rig.now = 10.0
+    rig.store.step()
+    assert [answer.iteration for answer in taken(rig.stored)] == [0]
+    assert rig.store.values()["gave_up.models"] == 1
+    rig.give(pair(1, versions={"object": 2}))
+    assert taken(rig.stored) == [], "each pair has its own patience"
+
+
+def test_the_concurrent_pace_never_waits_for_models(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.give(pair(0, versions={"object": 99}))
+    assert len(taken(rig.stored)) == 1

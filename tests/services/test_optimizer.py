@@ -1,0 +1,395 @@
+"""The operation cycle, driven by hand: each message when it should come, late, twice, or never."""
+
+from typing import Any
+
+import pytest
+
+from mdb_protocol import keys, messages
+from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_services.config import BrainConfig
+from mdb_services.optimizer import ENDING_S, Optimizer
+from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, perception
+
+OPTIMIZER = CONTENT["optimizer"]
+PATIENCE_S, RESEND_S = 2.0, 0.5
+
+
+class Rig:
+    """An optimizer, and robot, teacher, memory store and evolvers that a test plays by hand."""
+
+    def __init__(self, settings: BrainConfig | None = None, *, teacher: bool = True) -> None:
+        self.settings, self.fabric = settings or config(), Fabric()
+        self.world = MemoryBus(self.fabric, BRAIN)
+        self.presence = MemoryBus(self.fabric, BRAIN)
+        if teacher:
+            self.presence.token("teacher", "anna")
+        out = (keys.ACTION, keys.PAIR, keys.ITERATION, keys.FINISHED, keys.TIMING)
+        self.inboxes = {row.path: self.world.subscriber(row) for row in out}
+        self.now = 100.0
+        self.optimizer = self.start()
+
+    def start(self) -> Optimizer:
+        self.optimizer = Optimizer(MemoryBus(self.fabric, BRAIN), self.settings, clock=lambda: self.now)
+        return self.optimizer
+
+    def settle(self) -> None:
+        for _ in range(20):
+            if not self.optimizer.step():
+                return
+        pytest.fail("the optimizer never came to rest")
+
+    def wait(self, seconds: float) -> None:
+        """Let time go by in the steps of a service's loop."""
+        for _ in range(round(seconds * 10)):
+            self.now += 0.1
+            self.settle()
+
+    def say(self, row: keys.Key, message: Any, **parameters: str) -> None:
+        self.world.publisher(row, **parameters).put(message)
+        self.settle()
+
+    def sense(self, iteration: int, distance: float = 1.0, **fields: Any) -> None:
+        self.say(keys.PERCEPTION, perception(iteration, distance, **fields))
+
+    def command(self, iteration: int, note: int | None = 1, teacher: str = "anna") -> None:
+        message = messages.Command(teacher=teacher, iteration=iteration, note=note)
+        self.say(keys.COMMAND, message, teacher=teacher)
+
+    def reward(self, iteration: int, value: float = 1.0, teacher: str = "anna") -> None:
+        message = messages.Feedback(teacher=teacher, iteration=iteration, value=value)
+        self.say(keys.FEEDBACK, message, teacher=teacher)
+
+    def store(self, iteration: int, **versions: int) -> None:
+        self.say(keys.PAIR_STORED, messages.PairStored(iteration=iteration, versions=versions))
+
+    def learn(self, name: str, version: int, **fields: Any) -> None:
+        self.say(keys.CURRENT_MODEL, model(name, version, **fields), model=name)
+
+    def said(self, row: keys.Key) -> list[Any]:
+        return list(iter(self.inboxes[row.path].take, None))
+
+    def refused(self, row: keys.Key) -> int:
+        return self.optimizer.bus.refusals.counts[row.path]
+
+    def gave_up(self) -> dict[str, float]:
+        values = self.optimizer.values()
+        return {name.partition(".")[2]: count for name, count in values.items() if name.startswith("gave_up.")}
+
+
+def test_a_full_cycle_gives_the_action_the_pair_and_the_report() -> None:
+    rig = Rig()
+    rig.learn("communication", 3)
+    rig.sense(0, 1.5)
+    assert rig.said(keys.ACTION) == [], "the command is awaited"
+    rig.command(0, 2)
+    (action,) = rig.said(keys.ACTION)
+    assert (action.iteration, action.valid_for_s) == (0, 1.0)
+    rig.sense(1, 1.2)
+    assert rig.said(keys.PAIR) == [], "the feedback is awaited"
+    rig.reward(0, -0.5)
+    (pair,) = rig.said(keys.PAIR)
+    assert pair == messages.Pair(
+        iteration=0, before={"distance": 1.5}, note=2, action=action.action, after={"distance": 1.2}, feedback=-0.5,
+        versions={"communication": 3},
+    )  # fmt: skip
+    (report,) = rig.said(keys.ITERATION)
+    assert (report.iteration, report.mode, report.note, report.feedback) == (0, "taught", 2, -0.5)
+    assert report.predicted == pytest.approx(0.5)
+    assert report.prequential["communication"] == pytest.approx(1.0)
+    assert [timing.iteration for timing in rig.said(keys.TIMING)] == [0]
+    rig.command(1, None)
+    assert rig.said(keys.ACTION)[0].iteration == 1
+
+
+def test_a_capture_ends_the_pair_where_the_action_led_and_begins_the_next_elsewhere() -> None:
+    rig = Rig(teacher=False)
+    rig.sense(0, 1.5)
+    rig.sense(1, event="capture", outcome={"distance": 0.3}, reading={"distance": 1.9})
+    rig.sense(2, 1.8)
+    pairs = rig.said(keys.PAIR)
+    assert [(p.before["distance"], p.after["distance"]) for p in pairs] == [(1.5, 0.3), (1.9, 1.8)]
+
+
+def test_without_a_teacher_nothing_is_awaited() -> None:
+    rig = Rig(teacher=False)
+    for i in range(4):
+        rig.sense(i)
+    assert [p.iteration for p in rig.said(keys.PAIR)] == [0, 1, 2]
+    assert rig.gave_up() == {}
+
+
+def test_a_teacher_who_says_nothing_is_awaited_as_long_as_the_patience_lasts() -> None:
+    rig = Rig()
+    rig.sense(0)
+    rig.wait(PATIENCE_S - 0.2)
+    assert rig.said(keys.ACTION) == []
+    rig.wait(0.4)
+    assert rig.said(keys.ACTION)[0].iteration == 0
+    rig.sense(1)
+    assert [p.note for p in rig.said(keys.PAIR)] == [None], "no command, so no feedback to wait for"
+    assert rig.gave_up() == {"command": 1}
+
+
+def test_a_teacher_who_leaves_is_not_awaited() -> None:
+    rig = Rig()
+    rig.sense(0)
+    rig.presence.close()
+    rig.settle()
+    assert len(rig.said(keys.ACTION)) == 1
+    assert rig.gave_up() == {}
+
+
+def test_feedback_that_never_comes_is_given_up() -> None:
+    rig = Rig()
+    rig.sense(0)
+    rig.command(0)
+    rig.sense(1)
+    rig.wait(PATIENCE_S - 0.2)
+    assert rig.said(keys.PAIR) == []
+    rig.wait(0.4)
+    assert [(p.note, p.feedback) for p in rig.said(keys.PAIR)] == [(1, None)]
+    assert rig.gave_up() == {"feedback": 1}
+    rig.said(keys.ACTION)
+    rig.wait(PATIENCE_S - 0.4)
+    assert rig.said(keys.ACTION) == [], "the next command has a patience of its own"
+
+
+def test_a_perception_shown_again_does_not_renew_the_patience_or_change_the_outcome() -> None:
+    rig = Rig()
+    rig.sense(0)
+    rig.command(0)
+    rig.sense(1, 0.7)
+    for _ in range(5):
+        rig.wait(0.5)
+        rig.sense(1, 0.1)
+    (pair,) = rig.said(keys.PAIR)
+    assert pair.after == {"distance": 0.7}
+
+
+def test_one_wait_in_vain_counts_once() -> None:
+    rig = Rig(config(experiment=LOCKSTEP, optimizer=OPTIMIZER | {"lockstep_patience_s": 10.0}))
+    rig.sense(0)
+    rig.command(0)
+    rig.sense(1)
+    rig.reward(0)
+    rig.wait(11.0)
+    assert rig.gave_up() == {"command": 1, "models": 1}
+    assert [a.iteration for a in rig.said(keys.ACTION)] == [1]
+
+
+def test_an_action_without_effect_and_a_pair_without_answer_are_sent_again() -> None:
+    rig = Rig(teacher=False)
+    rig.sense(0)
+    (action,) = rig.said(keys.ACTION)
+    rig.wait(RESEND_S + 0.1)
+    assert rig.said(keys.ACTION) == [action]
+    rig.wait(2 * RESEND_S)
+    assert rig.said(keys.ACTION) == [action]
+    rig.sense(1)
+    (pair,) = rig.said(keys.PAIR)
+    rig.wait(RESEND_S + 0.1)
+    assert rig.said(keys.PAIR) == [pair]
+    rig.store(0)
+    rig.wait(2.0)
+    assert rig.said(keys.PAIR) == []
+
+
+def test_pairs_without_memory_store_wait_and_are_sent_again_oldest_first_and_a_few_at_a_time() -> None:
+    rig = Rig(config(experiment={"iterations": 100_000}), teacher=False)
+    for i in range(3001):
+        rig.sense(i)
+    assert [p.iteration for p in rig.said(keys.PAIR)] == list(range(3000))
+    rig.wait(RESEND_S + 0.1)
+    again = [p.iteration for p in rig.said(keys.PAIR)]
+    assert again == list(range(len(again)))
+    assert 50 <= len(again) <= 1000
+    for i in again:
+        rig.store(i)
+    rig.wait(RESEND_S + 0.1)
+    assert rig.said(keys.PAIR)[0].iteration == len(again)
+    assert rig.optimizer.values()["unacknowledged"] == 3000 - len(again)
+
+
+def test_commands_and_feedback_count_for_their_iteration_however_they_come() -> None:
+    rig = Rig()
+    rig.command(1, 0)
+    rig.command(0, 2)
+    rig.command(0, 1)
+    rig.reward(1, 0.25)
+    rig.reward(0, -1.0)
+    rig.reward(0, 1.0)
+    rig.sense(0)
+    rig.sense(1)
+    rig.command(0, 0)
+    rig.reward(0, 0.0)
+    rig.sense(2)
+    assert [(p.iteration, p.note, p.feedback) for p in rig.said(keys.PAIR)] == [(0, 2, -1.0), (1, 0, 0.25)]
+
+
+def test_perceptions_that_are_not_awaited_change_nothing() -> None:
+    rig = Rig(teacher=False)
+    rig.sense(0)
+    rig.sense(1, 1.1)
+    rig.sense(0, 9.0)
+    rig.sense(1, 9.0)
+    rig.sense(2, 1.2)
+    pairs = rig.said(keys.PAIR)
+    assert [(p.iteration, p.before["distance"], p.after["distance"]) for p in pairs] == [(0, 1.0, 1.1), (1, 1.1, 1.2)]
+    assert [a.iteration for a in rig.said(keys.ACTION)] == [2]
+
+
+def test_a_flood_of_commands_and_rewards_to_come_needs_bounded_memory() -> None:
+    rig = Rig()
+    for i in range(3000, 0, -1):
+        rig.command(i)
+        rig.reward(i)
+    assert len(rig.optimizer._commands) <= 1000
+    assert len(rig.optimizer._feedback) <= 1000
+    rig.sense(1)
+    rig.sense(2)
+    assert [(p.iteration, p.note, p.feedback) for p in rig.said(keys.PAIR)] == [(1, 1, 1.0)], "the next ones are kept"
+
+
+@pytest.mark.parametrize("note", [3, 127])
+def test_a_note_that_the_channel_lacks_is_refused_and_said(note: int) -> None:
+    rig = Rig()
+    rig.learn("communication", 1)
+    rig.learn("object", 1)
+    rig.sense(0)
+    rig.command(0, note)
+    assert rig.said(keys.ACTION) == []
+    assert rig.refused(keys.COMMAND) == 1
+    rig.command(0, 2)
+    rig.sense(1)
+    rig.reward(0)
+    assert [p.note for p in rig.said(keys.PAIR)] == [2]
+
+
+def test_models_that_do_not_fit_are_refused_and_the_good_one_stays() -> None:
+    rig = Rig(teacher=False)
+    rig.learn("object", 1)
+    rig.learn("object", 2, layers=[5, 0, 1])
+    rig.learn("object", 3, layers=[2, 0, 2])
+    rig.learn("object", 4, layers=[2, 1])
+    rig.learn("stranger", 5, layers=[2, 0, 1])
+    assert rig.refused(keys.CURRENT_MODEL) == 4
+    rig.sense(0)
+    rig.sense(1)
+    assert [p.versions for p in rig.said(keys.PAIR)] == [{"object": 1}]
+
+
+def test_a_robot_that_senses_nothing_or_something_else_is_acted_upon_at_random() -> None:
+    rig = Rig(teacher=False)
+    rig.learn("object", 1)
+    rig.sense(0, reading={}, outcome={})
+    rig.sense(1, reading={"sound": 3.0, "note": 1.0}, outcome={})
+    rig.sense(2)
+    assert [r.mode for r in rig.said(keys.ITERATION)] == ["random", "random"]
+
+
+def test_lockstep_waits_for_the_acknowledgement_and_the_models_of_the_last_pair() -> None:
+    rig = Rig(config(experiment=LOCKSTEP), teacher=False)
+    rig.sense(0)
+    rig.sense(1)
+    rig.said(keys.ACTION)
+    rig.store(0, object=1, communication=0)
+    assert rig.said(keys.ACTION) == []
+    rig.learn("object", 1)
+    assert [a.iteration for a in rig.said(keys.ACTION)] == [1]
+
+
+def test_lockstep_does_not_give_up_a_slow_teacher_before_its_own_patience() -> None:
+    rig = Rig(config(experiment=LOCKSTEP, optimizer=OPTIMIZER | {"lockstep_patience_s": 20.0}))
+    rig.sense(0)
+    rig.wait(10.0)
+    assert rig.said(keys.ACTION) == [], "a loaded machine must not make another run of the same seed"
+    rig.command(0)
+    rig.sense(1)
+    rig.wait(10.0)
+    assert rig.said(keys.PAIR) == []
+    rig.reward(0)
+    assert rig.gave_up() == {}
+    assert [(p.note, p.feedback) for p in rig.said(keys.PAIR)] == [(1, 1.0)]
+
+
+def test_the_same_messages_give_the_same_run() -> None:
+    def run() -> list[Any]:
+        rig = Rig(config(experiment=LOCKSTEP), teacher=False)
+        for i in range(5):
+            rig.learn("object", i)
+            rig.sense(i, 1.0 - 0.1 * i)
+            rig.store(i - 1, object=i) if i else None
+            rig.learn("object", i, last=0.1 * i)
+        return rig.said(keys.PAIR) + rig.said(keys.ITERATION)
+
+    assert run() == run()
+
+
+def test_a_restarted_optimizer_goes_on_where_the_robot_is() -> None:
+    rig = Rig()
+    rig.command(3, 2)
+    robot = rig.world.publisher(keys.PERCEPTION)
+    robot.put(perception(3))
+    rig.optimizer.bus.close()
+    rig.start()
+    rig.settle()
+    assert [a.iteration for a in rig.said(keys.ACTION)] == [3]
+    rig.sense(4)
+    rig.reward(3)
+    assert [(p.iteration, p.note) for p in rig.said(keys.PAIR)] == [(3, 2)]
+
+
+def test_a_robot_that_moved_on_before_the_action_was_chosen_is_followed() -> None:
+    rig = Rig()
+    rig.sense(2, 1.0)
+    rig.sense(3, 0.5)
+    rig.command(2)
+    assert rig.said(keys.ACTION) == []
+    rig.command(3)
+    rig.sense(4)
+    rig.reward(3)
+    assert [(p.iteration, p.before["distance"]) for p in rig.said(keys.PAIR)] == [(3, 0.5)]
+
+
+def test_a_robot_that_is_further_than_the_action_led_is_followed_and_no_pair_is_made_up() -> None:
+    rig = Rig(teacher=False)
+    rig.sense(0)
+    rig.sense(3, 0.5)
+    rig.sense(4, 0.4)
+    assert [(p.iteration, p.before["distance"]) for p in rig.said(keys.PAIR)] == [(3, 0.5)]
+    assert [a.iteration for a in rig.said(keys.ACTION)] == [4]
+
+
+def test_the_end_waits_for_the_last_acknowledgement() -> None:
+    rig = Rig(teacher=False)
+    for i in range(6):
+        rig.sense(i)
+        rig.store(i - 2) if i > 1 else None
+    assert [p.iteration for p in rig.said(keys.PAIR)] == [0, 1, 2, 3, 4]
+    assert rig.said(keys.FINISHED) == []
+    rig.store(4)
+    assert [f.iterations for f in rig.said(keys.FINISHED)] == [5]
+    rig.sense(7)
+    rig.wait(1.0)
+    assert rig.said(keys.FINISHED) == []
+    assert max(a.iteration for a in rig.said(keys.ACTION)) == 4
+
+
+def test_the_end_does_not_wait_for_ever() -> None:
+    rig = Rig(teacher=False)
+    for i in range(6):
+        rig.sense(i)
+    rig.wait(ENDING_S - 0.5)
+    assert rig.said(keys.FINISHED) == []
+    rig.wait(1.0)
+    assert len(rig.said(keys.FINISHED)) == 1
+    rig.said(keys.PAIR)
+    rig.wait(RESEND_S + 0.1)
+    assert [p.iteration for p in rig.said(keys.PAIR)] == [0, 1, 2, 3, 4], "a store that comes back gets them still"
+
+
+def test_an_optimizer_that_starts_at_the_end_says_so() -> None:
+    rig = Rig(teacher=False)
+    rig.sense(5)
+    assert len(rig.said(keys.FINISHED)) == 1
+    assert rig.said(keys.ACTION) == []

@@ -1,0 +1,167 @@
+"""The run log: everything that was said is read again, whatever the end of the recorder was."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mdb_protocol import codec, keys, messages
+from mdb_protocol.bus import Raw
+from mdb_protocol.errors import MdbError
+from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_services import recorder as recorder_module
+from mdb_services.recorder import Recorder, read_log
+from tests.services.small import BRAIN, model, pair, perception
+
+
+class Rig:
+    def __init__(self, run: Path) -> None:
+        self.run, self.fabric, self.now = run, Fabric(), 0.0
+        self.world = MemoryBus(self.fabric, BRAIN)
+        self.recorder = self.start()
+
+    def start(self) -> Recorder:
+        self.recorder = Recorder(MemoryBus(self.fabric, BRAIN), self.run, clock=lambda: self.now)
+        return self.recorder
+
+    def stop(self) -> None:
+        self.recorder.close()
+        self.recorder.bus.close()
+
+    def say(self, row: keys.Key, message: Any, **parameters: str) -> None:
+        self.world.publisher(row, **parameters).put(message)
+
+    def junk(self, key: str, payload: bytes, encoding: str) -> None:
+        self.fabric.put(self.world, keys.PAIR, Raw(key, payload, encoding))
+
+    def read(self) -> list[tuple[str, int]]:
+        return [(r.row.path, getattr(r.message, "iteration", -1)) for r in read_log(self.run)]
+
+
+def test_what_was_said_is_read_again_in_order(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.say(keys.PERCEPTION, perception(0))
+    rig.say(keys.PAIR, pair(1))
+    rig.say(keys.CURRENT_MODEL, model("object", 7), model="object")
+    rig.say(keys.PERCEPTION, perception(2))
+    rig.recorder.step()
+    assert rig.recorder.values()["messages"] == 4
+    rig.stop()
+    recorded = list(read_log(tmp_path))
+    assert [r.row for r in recorded] == [keys.PERCEPTION, keys.PAIR, keys.CURRENT_MODEL, keys.PERCEPTION]
+    assert recorded[1].message == pair(1)
+    assert recorded[2].key == "mdb/test/model/object"
+    assert codec.encode(recorded[2].message) == codec.encode(model("object", 7))
+    assert [r.time_s for r in recorded] == sorted(r.time_s for r in recorded)
+
+
+def test_what_came_just_before_the_end_is_written(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.say(keys.PAIR, pair(1))
+    rig.stop()
+    assert rig.read() == [("pair", 1)]
+
+
+def test_a_killed_recorder_leaves_what_it_flushed(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    for i in range(20):
+        rig.say(keys.PAIR, pair(i))
+    rig.recorder.step()
+    rig.now += recorder_module.FLUSH_S
+    rig.recorder.step()
+    assert rig.read() == [("pair", i) for i in range(20)], "the file was never closed"
+    rig.stop()
+
+
+def test_a_restarted_recorder_writes_the_next_segment(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    for i in range(12):
+        rig.say(keys.PAIR, pair(i))
+        rig.stop()
+        rig.start()
+    rig.stop()
+    assert len(list(tmp_path.glob("run*.mcap"))) == 13
+    assert rig.read() == [("pair", i) for i in range(12)]
+
+
+def test_a_segment_that_someone_deleted_is_no_obstacle(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    for i in range(3):
+        rig.say(keys.PAIR, pair(i))
+        rig.stop()
+        rig.start()
+    rig.stop()
+    (tmp_path / "run-1.mcap").unlink()
+    rig.start()
+    rig.say(keys.PAIR, pair(9))
+    rig.stop()
+    assert rig.read() == [("pair", 0), ("pair", 2), ("pair", 9)]
+
+
+def test_junk_is_recorded_as_it_came_and_left_out_when_read(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    key, right = keys.PAIR.at(BRAIN), codec.encoding_of(messages.Pair)
+    rig.say(keys.PAIR, pair(0))
+    for payload, encoding in ((b"", right), (b"\xc1", right), (b"x" * 99, "text/plain"), (codec.encode(pair(5)), "")):
+        rig.junk(key, payload, encoding)
+    rig.junk("mdb/test/no/such/key", b"junk", right)
+    rig.junk("nonsense", b"junk", ";;;")
+    rig.say(keys.PAIR, pair(1))
+    rig.stop()
+    assert rig.recorder.values()["messages"] == 8
+    assert rig.read() == [("pair", 0), ("pair", 1)]
+
+
+def test_more_keys_and_encodings_than_a_log_file_has_room_for_begin_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "MAX_CHANNELS", 50)
+    rig = Rig(tmp_path)
+    rig.say(keys.PAIR, pair(0))
+    for i in range(70):
+        rig.junk("mdb/test/pair", b"", f"junk;{i}")
+    rig.say(keys.PAIR, pair(1))
+    rig.recorder.step()
+    rig.stop()
+    assert rig.read() == [("pair", 0), ("pair", 1)]
+    assert len(list(tmp_path.glob("run*.mcap"))) == 2
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    rig = Rig(tmp_path_factory.mktemp("whole"))
+    for i in range(5):
+        rig.say(keys.PAIR, pair(i))
+        rig.say(keys.CURRENT_MODEL, model("object", i), model="object")
+    rig.stop()
+    return (rig.run / "run.mcap").read_bytes()
+
+
+def test_a_log_cut_short_anywhere_gives_what_was_whole(whole: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    counts = []
+    for end in range(0, len(whole), 7):
+        path.write_bytes(whole[:end])
+        counts.append(len(list(read_log(tmp_path))))
+    assert counts == sorted(counts)
+    assert (counts[0], counts[-1]) == (0, 10)
+
+
+@settings(derandomize=True, deadline=None, max_examples=150)
+@given(data=st.data())
+def test_a_damaged_log_ends_early_and_raises_nothing(
+    whole: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    damaged = bytearray(whole)
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    run = tmp_path_factory.mktemp("damaged")
+    (run / "run.mcap").write_bytes(damaged)
+    assert len(list(read_log(run))) <= 10
+
+
+def test_a_folder_without_log_is_a_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(MdbError, match="no run log"):
+        list(read_log(tmp_path))

@@ -1,0 +1,170 @@
+"""The robot service: each action is done once, and whatever else comes is answered or refused."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from mdb_protocol import keys, messages
+from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_sim.robot import Placement, Pose, RobotConfig, RobotError, Step, make_robot
+from mdb_sim.robot_service import RobotService
+
+BRAIN, SEED = "test", 7
+START = Placement(Pose(0.0, 0.0, 0.0), 1.0, 0.0)
+
+
+@dataclass
+class Body:
+    """A body on rails: an action moves it by its own number."""
+
+    actions: int = 3
+    done: list[int] = field(default_factory=list)
+    restored: list[tuple[int, int]] = field(default_factory=list)
+    broken: bool = False
+    closed: bool = False
+    last: Step | None = None
+
+    @property
+    def placement(self) -> Placement:
+        assert self.last is not None
+        return self.last.now
+
+    def reset(self, seed: int) -> Step:  # noqa: ARG002
+        reading = {"distance": 1.0}
+        self.last = Step(0, "none", START, reading, START, reading, captures=0, episode=0)
+        return self.last
+
+    def sense(self) -> dict[str, float]:
+        return {"distance": 1.0}
+
+    def act(self, action: int) -> Step:
+        if self.broken:
+            raise RobotError("the motors are off")
+        assert self.last is not None
+        self.done.append(action)
+        at = self.last.now.robot
+        now = replace(self.last.now, robot=replace(at, x_m=at.x_m + action))
+        reading = {"distance": 1.0 + now.robot.x_m}
+        self.last = replace(
+            self.last, iteration=self.last.iteration + 1, reached=now, now=now, reading=reading, next_reading=reading
+        )
+        return self.last
+
+    def restore(self, placement: Placement, iteration: int, *, seed: int, **_: int) -> None:  # noqa: ARG002
+        assert self.last is not None
+        self.restored.append((iteration, seed))
+        self.last = replace(self.last, iteration=iteration)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Rig:
+    def __init__(self, body: Any = None, **options: Any) -> None:
+        self.body = body or Body()
+        fabric = Fabric()
+        self.brain = MemoryBus(fabric, BRAIN)
+        self.perceptions = self.brain.subscriber(keys.PERCEPTION)
+        self.scenes = self.brain.subscriber(keys.SCENE)
+        self.actions = self.brain.publisher(keys.ACTION)
+        self.service = RobotService(MemoryBus(fabric, BRAIN), self.body, SEED, **options)
+
+    def act(self, iteration: int, action: int = 1) -> messages.Perception | None:
+        self.actions.put(messages.Action(iteration=iteration, action=action, valid_for_s=1.0))
+        assert self.service.step() is True
+        perception: messages.Perception | None = self.perceptions.take()
+        return perception
+
+
+def test_the_first_perception_is_shown_before_any_action() -> None:
+    rig = Rig()
+    assert rig.perceptions.take().iteration == 0
+    scene = rig.scenes.take()
+    assert (scene.iteration, scene.action, scene.before) == (0, None, None)
+    assert rig.service.step() is False
+
+
+def test_an_action_gives_a_perception_and_a_scene() -> None:
+    rig = Rig()
+    perception = rig.act(0, 2)
+    assert perception is not None
+    assert (perception.iteration, perception.reading) == (1, {"distance": 3.0})
+    scene = rig.scenes.take()
+    assert (scene.iteration, scene.action, scene.before.x_m, scene.now.x_m) == (1, 2, 0.0, 2.0)
+
+
+def test_an_action_sent_again_is_done_once_and_its_perception_shown_again() -> None:
+    rig = Rig()
+    first = rig.act(0)
+    assert rig.act(0) == first
+    assert rig.act(0, 2) == first, "another action for an iteration that is over"
+    second = rig.act(1)
+    assert rig.act(0) == second
+    assert rig.body.done == [1, 1]
+
+
+def test_of_actions_that_came_together_the_newest_is_done() -> None:
+    rig = Rig()
+    rig.actions.put(messages.Action(iteration=0, action=1, valid_for_s=1.0))
+    rig.act(0, 2)
+    assert rig.body.done == [2]
+
+
+def test_actions_that_the_body_lacks_are_refused_and_counted() -> None:
+    rig = Rig()
+    rig.perceptions.take()
+    for action in (3, 1023):
+        assert rig.act(0, action) is None
+        assert rig.act(5, action) is None, "nor does it catch up for them"
+    assert rig.body.done == rig.body.restored == []
+    assert rig.service.bus.refusals.counts[keys.ACTION.path] == 4
+    assert rig.act(0, 2) is not None
+
+
+def test_a_body_that_cannot_act_is_counted_and_asked_again() -> None:
+    rig = Rig()
+    rig.perceptions.take()
+    rig.body.broken = True
+    assert rig.act(0) is None
+    assert rig.act(0) is None
+    assert rig.service.bus.refusals.counts[keys.ACTION.path] == 2
+    rig.body.broken = False
+    perception = rig.act(0)
+    assert perception is not None
+    assert perception.iteration == 1
+
+
+def test_a_fresh_body_goes_on_with_the_brains_iteration() -> None:
+    rig = Rig()
+    perception = rig.act(57)
+    assert perception is not None
+    assert (perception.iteration, rig.body.restored) == (58, [(57, SEED)])
+    rig.act(58)
+    assert rig.body.restored == [(57, SEED)]
+
+
+def test_an_action_takes_its_time_on_the_wall() -> None:
+    slept: list[float] = []
+    rig = Rig(action_s=2.0, sleep=slept.append)
+    rig.act(0)
+    rig.act(0)
+    assert len(slept) == 1
+    assert 1.5 < slept[0] <= 2.0
+    unhurried = Rig(action_s=0.0, sleep=slept.append)
+    unhurried.act(0)
+    assert len(slept) == 1
+
+
+def test_the_same_actions_give_the_same_perceptions() -> None:
+    def run() -> list[messages.Perception | None]:
+        rig = Rig(make_robot("kinematic", RobotConfig()))
+        return [rig.act(i, i % 7) for i in range(20)]
+
+    assert run() == run()
+
+
+def test_closing_frees_the_body_and_values_say_where_it_is() -> None:
+    rig = Rig()
+    rig.act(0)
+    assert rig.service.values()["iteration"] == 1
+    rig.service.close()
+    assert rig.body.closed
