@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -25,7 +26,11 @@ EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    arguments, words = parser.parse_known_args(argv)
+    if words and arguments.command is not _test:
+        parser.error(f"unrecognized arguments: {' '.join(words)}")
+    arguments.words = words
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger("info"),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
@@ -101,8 +106,7 @@ def _add_run(commands: Commands[argparse.ArgumentParser]) -> None:
 
 
 def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
-    test = commands.add_parser("test", help="run the tests; further words go to pytest")
-    test.add_argument("words", nargs=argparse.REMAINDER)
+    test = commands.add_parser("test", help="run the tests; all further words go to pytest", add_help=False)
     test.set_defaults(command=_test)
     keys = commands.add_parser("keys", help="print the key table")
     keys.set_defaults(command=_keys)
@@ -199,8 +203,8 @@ def _test(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise MdbError("the tests need pytest: pip install -e '.[test]', or use ./deploy/compose test") from error
     root = Path(__file__).parents[2]
-    where = ["--rootdir", str(root), "-c", str(root / "pyproject.toml")]
-    return int(pytest.main([*where, *(arguments.words or [str(root / "tests")])]))
+    os.chdir(root)
+    return int(pytest.main(arguments.words))
 
 
 def _keys(_: argparse.Namespace) -> int:

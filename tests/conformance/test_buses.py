@@ -271,7 +271,7 @@ def test_publishing_on_a_wildcard_or_an_empty_key_is_refused(make_bus: MakeBus) 
 def test_no_router_is_a_clear_error() -> None:
     from mdb_protocol.zenoh_bus import ZenohBus
 
-    with pytest.raises(BusError, match="no router answers at tcp/127.0.0.1:1 .*mdb run router"):
+    with pytest.raises(BusError, match=r"no router answers at tcp/127\.0\.0\.1:1 .*mdb run router"):
         ZenohBus("nobody", "tcp/127.0.0.1:1", connect_timeout_s=0.1)
 
 
