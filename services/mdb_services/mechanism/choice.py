@@ -50,7 +50,9 @@ Models = Mapping[str, tuple[Codebook, Network]]
 def satisfactions(mode: Mode, models: Models, facts: Facts, actions: int) -> NDArray[np.float64] | None:
     """Return the satisfaction foreseen for each action (actions,), or None when an input is missing.
 
-    `facts` holds what is known before acting, each of shape (1,).
+    `facts` holds what is known before acting, each of shape (1,). The satisfaction is not cut off at the
+    models' bound: several actions often promise the most there is, and the first of equals, which would be
+    taken, is no better than the others (ours; measured: it is what let the robot bump into the object).
     """
     if mode.world not in models:
         return None
@@ -60,14 +62,14 @@ def satisfactions(mode: Mode, models: Models, facts: Facts, actions: int) -> NDA
     rows = codebook.input_rows(known)
     if rows is None:
         return None
-    known |= codebook.predicted(world.predict(rows))
     if mode.satisfaction in codebook.outputs:
-        return known[mode.satisfaction]
+        return codebook.predicted(world.sums(rows))[mode.satisfaction]
+    known |= codebook.predicted(world.predict(rows))
     if mode.satisfaction not in models:
         return None
     codebook, satisfaction = models[mode.satisfaction]
     rows = codebook.input_rows(with_changes(known))
-    return None if rows is None else satisfaction.predict(rows)[:, 0].astype(np.float64)
+    return None if rows is None else satisfaction.sums(rows)[:, 0].astype(np.float64)
 
 
 def choose(

@@ -84,14 +84,19 @@ class Network:
 
     def predict(self, inputs: NDArray[Any]) -> Floats:
         """Return the outputs, float32 (n, outputs) in [-1, 1], for inputs (n, inputs)."""
+        bounded: Floats = np.clip(self.sums(inputs), -1, 1)
+        return bounded
+
+    def sums(self, inputs: NDArray[Any]) -> Floats:
+        """Return the outputs before they are cut off: for comparing cases that all come out at the bound."""
         rows = np.asarray(inputs, dtype=np.float32)
         if rows.ndim != 2 or rows.shape[1] != self.sizes[0]:
             raise ValueError(f"inputs have shape {rows.shape}; expected (n, {self.sizes[0]}): one row a case")
         for layer in self.layers[:-1]:
             rows = np.tanh(rows @ layer[:, :-1].T + layer[:, -1])
         last = self.layers[-1]
-        bounded: Floats = np.clip(rows @ last[:, :-1].T + last[:, -1], -1, 1)
-        return bounded
+        sums: Floats = rows @ last[:, :-1].T + last[:, -1]
+        return sums
 
     def to_arrays(self) -> tuple[list[int], Floats]:
         """Return the layer sizes and all weights in one flat float32 array, as a message carries them."""
