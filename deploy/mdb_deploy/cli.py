@@ -189,7 +189,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _prepare(arguments: argparse.Namespace) -> int:
-    from mdb_sim.experiment import EXPERIMENT_FILE, Experiment
+    from mdb_services.config import EXPERIMENT_FILE
+    from mdb_sim.experiment import Experiment
 
     experiment = Experiment.read(experiment_path(arguments.experiment), overrides_of(arguments))
     arguments.run.mkdir(parents=True, exist_ok=True)

@@ -21,6 +21,7 @@ COMPOSE_FILE = Path(__file__).parents[1] / "compose.yaml"
 VARIABLE = re.compile(r"\$\{(\w+)(?::-([^}]*))?\}")
 ROUTER = "router"
 TEACHER = "teacher"
+ROBOT = "robot"
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ import structlog
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_services.config import EXPERIMENT_FILE
 from mdb_services.service import Service, Stopper, run
-from mdb_sim.experiment import EXPERIMENT_FILE, Experiment
+from mdb_sim.experiment import Experiment
 
 log = structlog.get_logger()
 

@@ -10,10 +10,10 @@ import contextlib
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mdb_deploy.compose import ROUTER, for_experiment, read
+from mdb_deploy.compose import ROBOT, ROUTER, for_experiment, read
 from mdb_deploy.processes import ENDPOINT_FILE
 from mdb_deploy.progress import Progress
 from mdb_deploy.runner import Runner, StartError
@@ -21,7 +21,8 @@ from mdb_protocol import keys
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_sim.experiment import EXPERIMENT_FILE, Experiment
+from mdb_services.config import EXPERIMENT_FILE
+from mdb_sim.experiment import Experiment
 
 POLL_S = 0.05
 STALLED_S = 60.0
@@ -36,7 +37,6 @@ class UpOptions:
     run: Path
     listen: str
     gui: bool = False
-    plot: bool = True
 
 
 def new_run_folder(base: Path, name: str, seed: int) -> Path:
@@ -58,7 +58,9 @@ def up_inline(experiment: Experiment, options: UpOptions, progress: Progress) ->
     signal.signal(signal.SIGTERM, lambda *_: told.append(1))
     signal.signal(signal.SIGINT, lambda *_: told.append(1))
     with progress:
-        run_experiment(experiment, options.run, on_iteration=progress.report, stop=lambda: bool(told))
+        run_experiment(
+            experiment, options.run, on_iteration=progress.report, stop=lambda: bool(told), gui=options.gui
+        )
     return ENDED_BY_USER if told else 0
 
 
@@ -76,6 +78,8 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
     watch = _Watch(experiment, options.run)
     variables = {"MDB_RUN_INSIDE": str(options.run), "MDB_LISTEN": options.listen, "MDB_CONNECT": ""}
     specs = for_experiment(read(), experiment)
+    if options.gui:
+        specs[ROBOT] = replace(specs[ROBOT], command=(*specs[ROBOT].command, "--gui"))
     runner = Runner(specs, variables, options.run / "logs", watch.alive)
     watch.on_endpoint = runner.connect
     status = 0

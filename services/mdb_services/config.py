@@ -23,6 +23,9 @@ from mdb_services.mechanism.stm import MemoryConfig
 
 T = TypeVar("T")
 
+EXPERIMENT_FILE = "experiment.toml"
+"""The resolved experiment in a run folder, its seed in it."""
+
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Seconds = Annotated[float, Meta(gt=0, le=3600)]
 Probability = Annotated[float, Meta(ge=0, le=1)]

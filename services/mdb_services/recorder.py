@@ -1,14 +1,18 @@
 """The recorder: every message of a run into its run folder, as it came. Only listens.
 
-Owns `run.mcap`, written without chunks and flushed as it goes, so that what was recorded can be read after
-a kill. `read_log` is the other half: the messages of a run, decoded; figures and comparisons use it alone.
+Owns `run.mcap`, with the resolved experiment and all versions in its metadata. It is written without chunks
+and flushed as it goes, so that what was recorded can be read after a kill. `read_log` is the other half: the
+messages of a run, decoded; figures and comparisons use it alone.
 """
 
 from __future__ import annotations
 
+import platform
 import struct
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from importlib import metadata
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -23,16 +27,27 @@ from mdb_protocol.codec import VERSION
 from mdb_protocol.errors import DecodeError, MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
+from mdb_services.config import EXPERIMENT_FILE
 
 log = structlog.get_logger()
 
 ROLE = "recorder"
+PACKAGES = ("multilevel-darwinist-brain", "eclipse-zenoh", "numpy", "numba", "msgpack", "msgspec", "mcap", "pybullet")
 LOG_PATTERN = "run*.mcap"
 FLUSH_S = 0.5
 MAX_CHANNELS = 60_000
 """Pairs of key and encoding in one segment, whose format has room for 65535; then the next segment begins."""
 DAMAGE = (McapError, EOFError, struct.error, ValueError, LookupError, OverflowError, MemoryError)
 """What reading a cut or damaged file can raise."""
+
+
+def versions() -> dict[str, str]:
+    """Return what made a run: the versions of Python, protocol, and every package of the project."""
+    found = {"python": platform.python_version(), "protocol": str(VERSION), "machine": platform.machine()}
+    for package in PACKAGES:
+        with suppress(metadata.PackageNotFoundError):
+            found[package] = metadata.version(package)
+    return found
 
 
 class Recorder:
@@ -53,6 +68,11 @@ class Recorder:
         self._file: IO[bytes] = next_segment(self._run).open("xb")
         self._writer = Writer(self._file, use_chunking=False)
         self._writer.start(profile="mdb", library=f"mdb protocol {VERSION}")
+        self._writer.add_metadata("versions", versions())
+        experiment = self._run / EXPERIMENT_FILE
+        if experiment.exists():
+            text = experiment.read_text(encoding="utf-8")
+            self._writer.add_metadata("experiment", {EXPERIMENT_FILE: text})
         self._channels: dict[tuple[str, str], int] = {}
 
     def _end(self) -> None:

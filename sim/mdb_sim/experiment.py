@@ -21,9 +21,6 @@ from mdb_sim.robot_service import RobotService
 from mdb_sim.schedule import TeacherSection, schedule_of
 from mdb_sim.teacher_service import ScriptedTeacher
 
-EXPERIMENT_FILE = "experiment.toml"
-"""The resolved experiment in a run folder."""
-
 
 class RobotSection(Section, frozen=True, kw_only=True):
     """`[robot]`: which body, how fast, and its world."""

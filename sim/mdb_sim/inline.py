@@ -11,12 +11,13 @@ from pathlib import Path
 from mdb_protocol import keys
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import IterationReport
+from mdb_services.config import EXPERIMENT_FILE
 from mdb_services.evolver import Evolver
 from mdb_services.memory_store import MemoryStore, PairFile
 from mdb_services.optimizer import Optimizer
 from mdb_services.recorder import Recorder
 from mdb_services.service import Service, run_inline
-from mdb_sim.experiment import EXPERIMENT_FILE, Experiment
+from mdb_sim.experiment import Experiment
 
 MEMORY_FILE = "memory.sqlite"
 
@@ -27,6 +28,7 @@ def run_experiment(
     *,
     on_iteration: Callable[[IterationReport], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
+    gui: bool = False,
 ) -> None:
     """Run an experiment to its end, or until `stop`, into a new run folder."""
     run.mkdir(parents=True, exist_ok=True)
@@ -39,7 +41,7 @@ def run_experiment(
 
     services: list[Service] = [Recorder(bus(), run), MemoryStore(bus(), brain, PairFile(run / MEMORY_FILE))]
     services += [Evolver(bus(), brain, model.name) for model in brain.model]
-    services.append(experiment.robot_service(bus()))
+    services.append(experiment.robot_service(bus(), gui=gui))
     if experiment.teacher is not None:
         services.append(experiment.teacher_service(bus()))
     services.append(Optimizer(bus(), brain))

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_protocol.messages import CurrentModel, IterationReport, Message, Phase, Placement, Scene, Timing
+from mdb_services.config import EXPERIMENT_FILE
 from mdb_services.recorder import Recorded, read_log
-from mdb_sim.experiment import EXPERIMENT_FILE, Experiment
+from mdb_sim.experiment import Experiment
 from mdb_sim.schedule import schedule_of
 from mdb_sim.teacher import Language
 

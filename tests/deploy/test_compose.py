@@ -33,7 +33,7 @@ def test_paper_needs_one_evolver_a_model() -> None:
     }
 
 
-def test_another_model_gets_an_evolver_and_a_missing_one_none(tmp_path: Path) -> None:
+def test_another_model_gets_an_evolver_and_a_missing_one_none() -> None:
     content = experiment().content
     content["model"][2]["name"] = "mine"
     content["mode"][1]["satisfaction"] = "mine"

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import Raw
@@ -165,3 +166,13 @@ def test_a_damaged_log_ends_early_and_raises_nothing(
 def test_a_folder_without_log_is_a_clear_error(tmp_path: Path) -> None:
     with pytest.raises(MdbError, match="no run log"):
         list(read_log(tmp_path))
+
+
+def test_a_log_says_what_made_it(tmp_path: Path) -> None:
+    (tmp_path / "experiment.toml").write_text("[experiment]\nseed = 7\n")
+    bus = MemoryBus(Fabric(), "test")
+    Recorder(bus, tmp_path).close()
+    with (tmp_path / "run.mcap").open("rb") as file:
+        metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+    assert "seed = 7" in metadata["experiment"]["experiment.toml"]
+    assert {"python", "protocol", "numpy", "eclipse-zenoh"} <= set(metadata["versions"])
