@@ -105,6 +105,8 @@ class PioneerRobot(ArenaRobot):
         self._step_s = 1.0 / config.physics_hz
         self._build_world()
         self._robot = self._load_robot()
+        if gui:
+            self._dress_window()
         self._object = self._fixed(
             pybullet.GEOM_CYLINDER, (0.0, 0.0, 0.25), radius=config.object_radius_m, height=0.5
         )
@@ -117,6 +119,12 @@ class PioneerRobot(ArenaRobot):
         if self._client >= 0:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
+
+    def _dress_window(self) -> None:
+        """Look down on the arena, without PyBullet's panels, at a robot that stands out from the floor."""
+        pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
+        pybullet.resetDebugVisualizerCamera(3.2, 20.0, -50.0, (0.0, 0.0, 0.0), physicsClientId=self._client)
+        pybullet.changeVisualShape(self._robot, -1, rgbaColor=(0.85, 0.20, 0.10, 1.0), physicsClientId=self._client)
 
     def _build_world(self) -> None:
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=self._client)

@@ -189,3 +189,16 @@ def test_a_memory_that_does_not_fit_is_refused() -> None:
 def test_impossible_configuration_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         EvolutionConfig(**wrong)
+
+
+def test_a_population_without_any_expressed_unit_grows_again() -> None:
+    shape = Shape(1, (8,), 1)
+    inputs = np.linspace(-1, 1, 40, dtype=np.float32)[:, None]
+    learner = PromoterGA(shape, EvolutionConfig(), 5, "induced")
+    state = learner.state()
+    state["promoters"][:] = 0
+    learner.restore(state)
+    for version in range(40):
+        best = learner.learn(inputs, np.sin(3 * inputs), version=version)
+    assert best.expressed > 0
+    assert best.error < 0.05

@@ -37,6 +37,10 @@ class Settings(NamedTuple):
     crossover_rate: float
     mutation_rate: float
     structural_rate: float
+    immigrant_share: float
+    expressed_first: float
+    weight_first: float
+    step_first: float
     step_rate: float
     step_min: float
     step_max: float
@@ -190,6 +194,16 @@ def _breed(
 
 
 @compiled
+def immigrate(settings: Settings, state: Any, child: Any, child_promoters: Any) -> Any:
+    """Write an individual as the first population had them, and return its mutation step."""
+    for gene in range(child.size):
+        child[gene] = (2.0 * uniform(state) - 1.0) * settings.weight_first
+    for gene in range(child_promoters.size):
+        child_promoters[gene] = uniform(state) < settings.expressed_first
+    return np.float32(settings.step_first)
+
+
+@compiled
 def _measure(weights: Any, promoters: Any, sizes: Any, data: Any, penalty: float, errors: Any, fitness: Any) -> None:
     """Write errors and fitness (the lower the better): the error plus the penalty on squared weights."""
     inputs, targets, pairs = data
@@ -206,11 +220,13 @@ def evolve(
 
     generations (first, end) count those of this memory. First everyone is measured on the present memory: an old
     fitness says nothing once the memory changed. In a generation the best few stay, and offspring of the better
-    part of the population, all of whose members have the same chance, replace all others.
+    part of the population, all of whose members have the same chance, replace the others but for a few immigrants:
+    neutral operators cannot bring back what all have lost, say every unit of a layer.
     """
     weights, promoters, steps = population
     elite, penalty = settings.elite, settings.weight_penalty
     parents = max(1, round(settings.parent_share * steps.size))
+    natives = max(elite, steps.size - round(settings.immigrant_share * steps.size))
     _measure(weights, promoters, sizes, data, penalty, errors, fitness)
     new_weights, new_promoters, new_steps = weights.copy(), promoters.copy(), steps.copy()
     shares, state = np.empty(promoters.shape[1], np.float32), np.empty(1, np.uint64)
@@ -222,9 +238,11 @@ def evolve(
             new_steps[place] = steps[kept]
         for place in range(elite, steps.size):
             stream(key, generation, place, state)
-            new_steps[place] = _breed(
-                population, order[:parents], sizes, settings, state, new_weights[place], new_promoters[place], shares
-            )
+            child, genes = new_weights[place], new_promoters[place]
+            if place < natives:
+                new_steps[place] = _breed(population, order[:parents], sizes, settings, state, child, genes, shares)
+            else:
+                new_steps[place] = immigrate(settings, state, child, genes)
         errors[:elite], fitness[:elite] = errors[order[:elite]], fitness[order[:elite]]
         weights[:], promoters[:], steps[:] = new_weights, new_promoters, new_steps
         _measure(weights[elite:], promoters[elite:], sizes, data, penalty, errors[elite:], fitness[elite:])

@@ -17,12 +17,15 @@ class EvolutionConfig:
     """The best individuals, which stay as they are; they too are measured anew on every memory."""
     parent_share: float = 0.2
     """Share of the population, its best part, of which each offspring draws its parents with equal chances."""
-    crossover_rate: float = 0.6
+    crossover_rate: float = 0.9
     """Share of offspring with two parents."""
     mutation_rate: float = 0.25
     """Probability that the weights of an expressed unit are mutated, all of them together."""
-    structural_rate: float = 0.1
+    structural_rate: float = 0.3
     """Share of offspring in which a promoter is flipped."""
+    immigrant_share: float = 0.02
+    """Share of each generation that is drawn like the first population. Without it, a population that selection
+    made too small on its first few pairs could not grow again: neutral operators do not leave the bounds."""
     step_first: float = 0.3
     """Mutation step, a standard deviation, at the beginning."""
     step_rate: float = 0.3
@@ -37,7 +40,7 @@ class EvolutionConfig:
     """Weights stay in plus or minus this."""
     weight_penalty: float = 0.0
     """Added to the fitness for each unit of the sum of squared weights that count."""
-    expressed_first: float = 0.6
+    expressed_first: float = 0.85
     """Share of hidden units expressed at the beginning."""
 
     def __post_init__(self) -> None:
@@ -45,7 +48,9 @@ class EvolutionConfig:
             raise ValueError(f"elite is {self.elite}; expected 1 to {self.population - 1}, fewer than population")
         if self.generations < 1:
             raise ValueError(f"generations is {self.generations}; expected 1 or more")
-        shares = ("parent_share", "crossover_rate", "mutation_rate", "structural_rate", "expressed_first")
+        shares = (
+            "parent_share", "crossover_rate", "mutation_rate", "structural_rate", "immigrant_share", "expressed_first",
+        )  # fmt: skip
         for name in shares:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a share from 0 to 1")
