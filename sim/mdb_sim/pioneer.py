@@ -38,6 +38,7 @@ SLOWDOWN_PER_S = 12.0
 ARRIVED_M = 0.0005
 GIVE_UP_S = 4.0
 WHEEL_TORQUE_NM = 6.0
+ROBOT_COLOUR = (0.85, 0.20, 0.10, 1.0)
 
 _GROUND, _OBSTACLE, _WHEEL, _BODY = 2, 4, 8, 16
 _RAY = 1  # Bullet casts rays as members of its default group.
@@ -124,7 +125,8 @@ class PioneerRobot(ArenaRobot):
         """Look down on the arena, without PyBullet's panels, at a robot that stands out from the floor."""
         pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
         pybullet.resetDebugVisualizerCamera(3.2, 20.0, -50.0, (0.0, 0.0, 0.0), physicsClientId=self._client)
-        pybullet.changeVisualShape(self._robot, -1, rgbaColor=(0.85, 0.20, 0.10, 1.0), physicsClientId=self._client)
+        for link in range(-1, pybullet.getNumJoints(self._robot, physicsClientId=self._client)):
+            pybullet.changeVisualShape(self._robot, link, rgbaColor=ROBOT_COLOUR, physicsClientId=self._client)
 
     def _build_world(self) -> None:
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=self._client)

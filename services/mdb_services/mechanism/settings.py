@@ -48,10 +48,8 @@ class EvolutionConfig:
             raise ValueError(f"elite is {self.elite}; expected 1 to {self.population - 1}, fewer than population")
         if self.generations < 1:
             raise ValueError(f"generations is {self.generations}; expected 1 or more")
-        shares = (
-            "parent_share", "crossover_rate", "mutation_rate", "structural_rate", "immigrant_share", "expressed_first",
-        )  # fmt: skip
-        for name in shares:
+        rates = ("crossover_rate", "mutation_rate", "structural_rate")
+        for name in ("parent_share", *rates, "immigrant_share", "expressed_first"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a share from 0 to 1")
         for name in ("step_rate", "weight_first", "weight_penalty"):
