@@ -205,7 +205,10 @@ def _test(arguments: argparse.Namespace) -> int:
         raise MdbError("the tests need pytest: pip install -e '.[test]', or use ./deploy/compose test") from error
     root = Path(__file__).parents[2]
     os.chdir(root)
-    return int(pytest.main(arguments.words))
+    results = root / "runs" / "tests.xml"
+    status = int(pytest.main([f"--junit-xml={results}", *arguments.words]))
+    sys.stdout.write(f"results: {results}\n")
+    return status
 
 
 def _keys(_: argparse.Namespace) -> int:
@@ -262,7 +265,7 @@ def _warm_up(_: argparse.Namespace) -> int:
 def _compare(_: argparse.Namespace) -> int:
     from mdb_sim.twins import compare_bodies
 
-    sys.stdout.write(f"{compare_bodies()}\n")
+    sys.stdout.write(f"{compare_bodies().table()}\n")
     return 0
 
 

@@ -33,6 +33,8 @@ SHORT = (
 )
 """The paper's experiment, shortened: every phase, small populations, the twin of the robot."""
 
+PAPER = ("paper", SHORT)
+
 Condition = Callable[[], object]
 
 
@@ -62,11 +64,14 @@ def mdb(*words: str, timeout_s: float = BOUND_S) -> subprocess.CompletedProcess[
 class Brain:
     """`mdb up` in the background; leaves no process behind."""
 
-    def __init__(self, folder: Path, *settings: str, pace: str = "concurrent") -> None:
+    def __init__(
+        self, folder: Path, *settings: str, pace: str = "concurrent", experiment: tuple[str, tuple[str, ...]] = PAPER
+    ) -> None:
         self._folder = folder
         self._out = folder / "up.out"
-        words = ["up", "--runs", str(folder), "--listen", "tcp/127.0.0.1:0", "--no-plot", "--pace", pace]
-        for setting in (*SHORT, *settings):
+        file, short = experiment
+        words = ["up", file, "--runs", str(folder), "--listen", "tcp/127.0.0.1:0", "--no-plot", "--pace", pace]
+        for setting in (*short, *settings):
             words += ["--set", setting]
         with self._out.open("wb") as out:
             self.process = subprocess.Popen(

@@ -1,0 +1,51 @@
+"""The README's example of another client, run as it stands there against a brain without a scripted teacher."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import tomli_w
+
+from mdb_deploy.cli import experiment_path
+from mdb_protocol import keys, messages
+from mdb_sim.experiment import Experiment
+from tests.integration.brain import Brain, until
+
+README = Path(__file__).parents[2] / "README.md"
+SETTINGS = ("robot.body=kinematic", "experiment.iterations=100000", "optimizer.feedback_patience_s=0.05")
+
+
+def example(endpoint: str) -> str:
+    """Return the README's Python block, with the router of this test."""
+    (code,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    assert "tcp/127.0.0.1:7447" in code
+    return str(code.replace("tcp/127.0.0.1:7447", endpoint))
+
+
+def test_a_client_from_the_readme_is_heard(tmp_path: Path) -> None:
+    content = Experiment.read(experiment_path("paper")).content
+    del content["teacher"]
+    file = tmp_path / "alone.toml"
+    file.write_text(tomli_w.dumps(content))
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    with Brain(folder, *SETTINGS, experiment=(str(file), ())) as brain, brain.bus() as bus:
+        pairs = bus.subscriber(keys.PAIR)
+        heard: set[int | None] = set()
+
+        def take() -> bool:
+            bus.wait(0.05)
+            while (pair := pairs.take()) is not None:
+                assert isinstance(pair, messages.Pair)
+                heard.add(pair.note)
+            return bool(heard)
+
+        until(take)
+        assert heard == {None}, "nobody teaches yet"
+        client = subprocess.Popen([sys.executable, "-c", example((brain.run / "router.endpoint").read_text())])
+        try:
+            until(lambda: take() and 0 in heard)
+        finally:
+            client.kill()
+            client.wait(5.0)
