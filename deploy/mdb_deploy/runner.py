@@ -82,8 +82,8 @@ class Runner:
         self.failed: asyncio.Future[StartError] = asyncio.get_running_loop().create_future()
 
     def connect(self, endpoint: str) -> None:
-        """Tell the processes started from now on where the router is."""
-        self._variables["MDB_CONNECT"] = endpoint
+        """Tell the processes started from now on where the router is; itself comes back there if it dies."""
+        self._variables |= {"MDB_CONNECT": endpoint, "MDB_LISTEN": endpoint}
 
     async def start(self, on_ready: Callable[[str], None] = lambda _: None) -> None:
         """Start every process once those it waits for are ready; StartError when one is not in time."""

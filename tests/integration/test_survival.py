@@ -121,3 +121,13 @@ def test_children_stop_when_their_runner_is_killed(tmp_path: Path) -> None:
         children = brain.children()
         brain.process.kill()
         until(lambda: not [child for child in children if child.is_running()], 10.0)
+
+
+def test_killed_router_comes_back_where_it_was_and_the_run_goes_on(tmp_path: Path) -> None:
+    with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
+        reports = bus.subscriber(keys.ITERATION)
+        before = iteration_after(bus, reports, 5)
+        (router,) = [child for child in brain.children() if "router" in child.cmdline()]
+        router.kill()
+        until(lambda: [c for c in brain.children() if "router" in c.cmdline() and c.pid != router.pid])
+        assert iteration_after(bus, reports, 20) > before + 20
