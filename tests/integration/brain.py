@@ -110,6 +110,16 @@ class Brain:
         """All processes of the brain."""
         return psutil.Process(self.process.pid).children(recursive=True)
 
+    def child(self, word: str) -> psutil.Process | None:
+        """The living process with this word in its command line; a dead one not buried yet does not count."""
+        for process in self.children():
+            try:
+                if word in process.cmdline():
+                    return process
+            except psutil.Error:
+                continue
+        return None
+
     def wait(self, bound_s: float = BOUND_S) -> int:
         """Wait for the end of the experiment; return the exit status."""
         return self.process.wait(bound_s)

@@ -127,7 +127,8 @@ def test_killed_router_comes_back_where_it_was_and_the_run_goes_on(tmp_path: Pat
     with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
         reports = bus.subscriber(keys.ITERATION)
         before = iteration_after(bus, reports, 5)
-        (router,) = [child for child in brain.children() if "router" in child.cmdline()]
+        router = brain.child("router")
+        assert router is not None
         router.kill()
-        until(lambda: [c for c in brain.children() if "router" in c.cmdline() and c.pid != router.pid])
+        until(lambda: (again := brain.child("router")) is not None and again.pid != router.pid)
         assert iteration_after(bus, reports, 20) > before + 20
