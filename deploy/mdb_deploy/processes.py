@@ -16,7 +16,7 @@ import structlog
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.zenoh_bus import Router, ZenohBus
-from mdb_services.config import EXPERIMENT_FILE
+from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.service import Service, Stopper, run
 from mdb_sim.experiment import Experiment
 
@@ -24,7 +24,6 @@ log = structlog.get_logger()
 
 ROUTER_CONFIG = Path(__file__).parents[1] / "router.json5"
 ENDPOINT_FILE = "router.endpoint"
-MEMORY_FILE = "memory.sqlite"
 EVOLVER_NICE = 5
 """Learning gives way to acting when both want the same core."""
 CONNECT_S = 10.0

@@ -13,7 +13,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -52,7 +52,6 @@ class Child:
     was_ready: bool = False
     restarts: int = 0
     quick_deaths: int = 0
-    history: list[str] = field(default_factory=list)
 
     def last_lines(self) -> str:
         """Return the end of the child's log."""

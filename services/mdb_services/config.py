@@ -25,6 +25,8 @@ T = TypeVar("T")
 
 EXPERIMENT_FILE = "experiment.toml"
 """The resolved experiment in a run folder, its seed in it."""
+MEMORY_FILE = "memory.sqlite"
+"""The memory store's database in a run folder."""
 
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Seconds = Annotated[float, Meta(gt=0, le=3600)]

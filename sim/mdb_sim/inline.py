@@ -11,15 +11,13 @@ from pathlib import Path
 from mdb_protocol import keys
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import IterationReport
-from mdb_services.config import EXPERIMENT_FILE
+from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.evolver import Evolver
 from mdb_services.memory_store import MemoryStore, PairFile
 from mdb_services.optimizer import Optimizer
 from mdb_services.recorder import Recorder
 from mdb_services.service import Service, run_inline
 from mdb_sim.experiment import Experiment
-
-MEMORY_FILE = "memory.sqlite"
 
 
 def run_experiment(
