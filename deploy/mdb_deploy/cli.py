@@ -6,11 +6,15 @@ import argparse
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import structlog
 
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
+
+if TYPE_CHECKING:
+    from mdb_deploy.study import Study
 
 EPILOG = """\
 first steps:
@@ -62,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_up(commands)
     _add_run(commands)
     _add_small(commands)
+    _add_ltm(commands)
     return parser
 
 
@@ -85,6 +90,9 @@ def _add_up(commands: Commands[argparse.ArgumentParser]) -> None:
     up.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder is made (runs)")
     up.add_argument("--listen", default=DEFAULT_ENDPOINT, help="the router's endpoint; port 0: any free one")
     up.add_argument("--gui", action="store_true", help="show the PyBullet window")
+    up.add_argument(
+        "--long-term", type=Path, metavar="SOURCE", help="begin with the models of a run or of an 'mdb ltm export'"
+    )
     up.add_argument("--no-plot", action="store_true", help="no figures at the end")
     up.set_defaults(command=_up)
 
@@ -128,10 +136,108 @@ def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
     acceptance.add_argument("--workers", type=int, default=2, help="runs at the same time")
     _add_experiment(acceptance)
     acceptance.set_defaults(command=_acceptance)
+    _add_study(commands)
     warm_up = commands.add_parser("warm-up", help="compile the evolvers' kernels (the first start does it too)")
     warm_up.set_defaults(command=_warm_up)
     compare = commands.add_parser("compare-bodies", help="PyBullet and its kinematic twin side by side")
     compare.set_defaults(command=_compare)
+
+
+STUDY_EPILOG = """\
+All runs are inline and in lockstep. A finished run in --out with the same resolved experiment is not run again,
+so an interrupted study goes on where it stopped; any other run there is replaced. A change of code is not
+noticed: then give --fresh.
+
+a quick look, with the kinematic twin and few seeds:
+  mdb study {study} --seeds 11-12 --set robot.body=kinematic
+"""
+
+
+def _add_study(commands: Commands[argparse.ArgumentParser]) -> None:
+    study = commands.add_parser("study", help="what each ingredient brings, over many seeds", allow_abbrev=False)
+    studies = study.add_subparsers(required=True, metavar="STUDY")
+    ablation = _add_one_study(studies, "ablation", "as shipped against one ingredient less: table and figure")
+    ablation.add_argument("--only", default="", metavar="NAMES", help="some variants, as in fifo-only,scalar-note")
+    ablation.set_defaults(command=_study_ablation)
+    comings = _add_one_study(studies, "comings", "teachers A, B, A, B, A, with long-term memory and without")
+    comings.add_argument("--phase", type=int, default=500, help="iterations of each coming (500)")
+    comings.set_defaults(command=_study_comings)
+
+
+def _add_one_study(studies: Commands[argparse.ArgumentParser], name: str, what: str) -> argparse.ArgumentParser:
+    parser = studies.add_parser(
+        name,
+        help=what,
+        description=what,
+        epilog=STUDY_EPILOG.format(study=name),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "experiment", nargs="?", default="paper", help="experiment file, or the name of a shipped one (paper)"
+    )
+    parser.add_argument("--seeds", default="11-20", help="as in 11-20 or 1,4,9 (11-20)")
+    parser.add_argument("--workers", type=int, default=2, help="runs at the same time (2)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs") / name, help=f"where runs and report go (runs/{name})"
+    )
+    parser.add_argument("--fresh", action="store_true", help="run again also what is there already")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="override any setting")
+    return parser
+
+
+def _add_ltm(commands: Commands[argparse.ArgumentParser]) -> None:
+    ltm = commands.add_parser(
+        "ltm",
+        help="the long-term memory: list, show, export, import",
+        description="Models that were good and stable, each with a sample of its context. SOURCE: a run folder or "
+        "a file that 'export' wrote. MODEL: a model's name, for all stored under it, or NAME/ID.",
+    )
+    verbs = ltm.add_subparsers(required=True, metavar="VERB")
+    listing = verbs.add_parser("list", help="one line a model")
+    show = verbs.add_parser("show", help="all that is known of a model")
+    export = verbs.add_parser("export", help="write models to a file")
+    bring = verbs.add_parser("import", help="put models into a run that has not begun, or is stopped")
+    for verb in (listing, show, export, bring):
+        verb.add_argument("source", type=Path, metavar="SOURCE")
+    bring.add_argument("run", type=Path, metavar="RUN", help="run folder ('mdb prepare --run RUN' makes one)")
+    for verb in (listing, show, export, bring):
+        verb.add_argument("models", nargs="*", metavar="MODEL", help="which models (all)")
+    export.add_argument("--out", type=Path, required=True, metavar="FILE", help="the file to write")
+    listing.set_defaults(command=_ltm_list)
+    show.set_defaults(command=_ltm_show)
+    export.set_defaults(command=_ltm_export)
+    bring.set_defaults(command=_ltm_import)
+
+
+def _ltm_list(arguments: argparse.Namespace) -> int:
+    from mdb_deploy import ltm
+
+    sys.stdout.write(ltm.listing(ltm.read(arguments.source, arguments.models)) + "\n")
+    return 0
+
+
+def _ltm_show(arguments: argparse.Namespace) -> int:
+    from mdb_deploy import ltm
+
+    sys.stdout.write("\n\n".join(map(ltm.show, ltm.read(arguments.source, arguments.models))) + "\n")
+    return 0
+
+
+def _ltm_export(arguments: argparse.Namespace) -> int:
+    from mdb_deploy import ltm
+
+    count = ltm.export(arguments.source, arguments.models, arguments.out)
+    sys.stdout.write(f"{count} models: {arguments.out}\n")
+    return 0
+
+
+def _ltm_import(arguments: argparse.Namespace) -> int:
+    from mdb_deploy import ltm
+
+    count = ltm.bring(arguments.source, arguments.models, arguments.run)
+    sys.stdout.write(f"{count} models: {arguments.run}\n")
+    return 0
 
 
 def experiment_path(name: str) -> Path:
@@ -152,6 +258,7 @@ def _up(arguments: argparse.Namespace) -> int:
 
     from mdb_deploy.progress import Progress
     from mdb_deploy.up import UpOptions, new_run_folder, up_inline, up_processes
+    from mdb_services.config import EXPERIMENT_FILE
     from mdb_sim.experiment import Experiment
 
     overrides = overrides_of(arguments)
@@ -160,6 +267,11 @@ def _up(arguments: argparse.Namespace) -> int:
     experiment = Experiment.read(experiment_path(arguments.experiment), overrides)
     section = experiment.brain.experiment
     run = new_run_folder(arguments.runs.resolve(), section.name, section.seed)
+    if arguments.long_term is not None:
+        from mdb_deploy import ltm
+
+        experiment.write(run / EXPERIMENT_FILE)
+        ltm.bring(arguments.long_term, (), run)
     options = UpOptions(run, arguments.listen, arguments.gui)
     console = Console(stderr=False)
     console.print(f"{section.name}: {section.iterations} iterations, {section.pace}, seed {section.seed}")
@@ -253,6 +365,32 @@ def _acceptance(arguments: argparse.Namespace) -> int:
         arguments.out,
         arguments.workers,
     )
+
+
+def _study(arguments: argparse.Namespace) -> Study:
+    from mdb_deploy.acceptance import seeds_of
+    from mdb_deploy.study import Study
+
+    return Study(
+        experiment=experiment_path(arguments.experiment),
+        seeds=tuple(dict.fromkeys(seeds_of(arguments.seeds))),
+        overrides=tuple(arguments.set),
+        out=arguments.out,
+        workers=arguments.workers,
+        fresh=arguments.fresh,
+    )
+
+
+def _study_ablation(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.study import ablate
+
+    return ablate(_study(arguments), [name for name in arguments.only.split(",") if name])
+
+
+def _study_comings(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.study import compare_comings
+
+    return compare_comings(_study(arguments), arguments.phase)
 
 
 def _warm_up(_: argparse.Namespace) -> int:

@@ -89,9 +89,10 @@ def _recorder(bus: Bus, run_folder: Path) -> Service:
 
 
 def _memory(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:
-    from mdb_services.memory_store import MemoryStore, PairFile
+    from mdb_services.memory_file import MemoryFile
+    from mdb_services.memory_store import MemoryStore
 
-    return MemoryStore(bus, experiment.brain, PairFile(run_folder / MEMORY_FILE))
+    return MemoryStore(bus, experiment.brain, MemoryFile(run_folder / MEMORY_FILE))
 
 
 def _evolver(bus: Bus, experiment: Experiment, model: str | None) -> Service:

@@ -87,7 +87,7 @@ MEMORY_CHANGE = Key(
     m.MemoryChange,
     "memory store",
     Delivery.RELIABLE,
-    "one insert into a model's short-term memory",
+    "one step of a model's short-term memory: an insert, or the beginning of a context",
     late_joiner="asks memory/{model}/snapshot",
 )
 MEMORY_SNAPSHOT = Key(
@@ -97,6 +97,13 @@ MEMORY_SNAPSHOT = Key(
     Delivery.QUERY,
     "a model's whole short-term memory",
     repeatable=False,
+)
+CONTEXT = Key(
+    "memory/{model}/context",
+    m.ContextEvent,
+    "memory store",
+    Delivery.RELIABLE,
+    "a change of context, a model stored in the long-term memory or recalled from it",
 )
 CURRENT_MODEL = Key(
     "model/{model}",
@@ -138,7 +145,7 @@ ALIVE = Key(
 
 KEYS = (
     PERCEPTION, SCENE, ACTION, COMMAND, FEEDBACK, PHASE, PAIR, PAIR_STORED, MEMORY_CHANGE, MEMORY_SNAPSHOT,
-    CURRENT_MODEL, KEPT_MODEL, ITERATION, TIMING, FINISHED, STATUS, ALIVE,
+    CONTEXT, CURRENT_MODEL, KEPT_MODEL, ITERATION, TIMING, FINISHED, STATUS, ALIVE,
 )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import msgspec
@@ -22,6 +23,8 @@ Text = Annotated[str, Meta(max_length=4096)]
 Event = Literal["none", "capture", "bump", "lost", "timeout"]
 Reading = dict[Name, float]
 Versions = dict[Name, Count]
+Layers = Annotated[list[Annotated[int, Meta(ge=0, le=4096)]], Meta(min_length=2, max_length=8)]
+Seeds = Annotated[list["ModelWeights"], Meta(max_length=100)]
 
 VALUE_BOUND = 1e6
 """Sensor and model values beyond this are refused: no sensor of a robot means them."""
@@ -43,6 +46,20 @@ def check_array(what: str, array: np.ndarray, kind: str, ndim: int) -> None:
         raise ValueError(f"{what}: got {array.ndim} dimensions of {array.dtype}; expected {ndim} of kind {kind!r}")
     if kind == "f" and not (np.isfinite(array).all() and (np.abs(array) <= VALUE_BOUND).all()):
         raise ValueError(f"{what}: holds values that are not finite or beyond ±{VALUE_BOUND:g}")
+
+
+def check_rows(what: str, *arrays: np.ndarray) -> None:
+    """Raise ValueError unless all arrays have as many rows."""
+    if len({len(array) for array in arrays}) > 1:
+        raise ValueError(f"{what}: arrays of {[len(array) for array in arrays]} rows; expected as many of each")
+
+
+def check_weights(layers: list[int], weights: np.ndarray) -> None:
+    """Raise ValueError unless weights (n,) are those of a network of these layers."""
+    check_array("weights", weights, "f", 1)
+    expected = sum((i + 1) * o for i, o in pairwise(layers))
+    if len(weights) != expected:
+        raise ValueError(f"weights: got {len(weights)}, but layers {layers} need {expected}")
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True):
@@ -155,40 +172,80 @@ class PairStored(Message, frozen=True, kw_only=True):
     versions: Versions
 
 
-class MemoryChange(Message, frozen=True, kw_only=True):
-    """One insert into the short-term memory of `model`: row `slot` now holds pair `pair`."""
+class ModelWeights(Message, frozen=True, kw_only=True):
+    """A network: `layers` and `weights` as in `CurrentModel`."""
 
-    model: Name
-    version: Count
-    slot: Index
-    pair: Iteration
-    evicted: Iteration | None
-    inputs: np.ndarray
-    targets: np.ndarray
+    layers: Layers
+    weights: np.ndarray
 
     def __post_init__(self) -> None:
-        check_array("inputs", self.inputs, "f", 1)
-        check_array("targets", self.targets, "f", 1)
+        check_weights(self.layers, self.weights)
 
 
-class MemorySnapshot(Message, frozen=True, kw_only=True):
-    """The whole short-term memory of `model`: pairs (n,), inputs (n, i), targets (n, o), by slot."""
+class MemoryChange(Message, frozen=True, kw_only=True):
+    """One step of the short-term memory of `model` to `version`: an insert, or the beginning of a context.
+
+    slots (k,) now hold pairs (k,) with rows inputs (k, i) and targets (k, o); slots `freed` (m,) are empty and the
+    pairs `evicted` (n,) have left. A negative pair was recalled from the long-term memory, and `seeds` are networks
+    recalled from there, the best first.
+    """
 
     model: Name
     version: Count
+    slots: np.ndarray
     pairs: np.ndarray
     inputs: np.ndarray
     targets: np.ndarray
+    freed: np.ndarray
+    evicted: np.ndarray
+    seeds: Seeds = []
 
     def __post_init__(self) -> None:
+        for name in ("slots", "pairs", "freed", "evicted"):
+            check_array(name, getattr(self, name), "i", 1)
+        check_array("inputs", self.inputs, "f", 2)
+        check_array("targets", self.targets, "f", 2)
+        check_rows("change", self.slots, self.pairs, self.inputs, self.targets)
+
+
+class MemorySnapshot(Message, frozen=True, kw_only=True):
+    """The whole short-term memory of `model`: slots (n,), pairs (n,), inputs (n, i), targets (n, o).
+
+    `seeds` are the networks that were recalled when the present context began.
+    """
+
+    model: Name
+    version: Count
+    slots: np.ndarray
+    pairs: np.ndarray
+    inputs: np.ndarray
+    targets: np.ndarray
+    seeds: Seeds = []
+
+    def __post_init__(self) -> None:
+        check_array("slots", self.slots, "i", 1)
         check_array("pairs", self.pairs, "i", 1)
         check_array("inputs", self.inputs, "f", 2)
         check_array("targets", self.targets, "f", 2)
-        if not len(self.pairs) == len(self.inputs) == len(self.targets):
-            raise ValueError(
-                f"snapshot rows differ: {len(self.pairs)} pairs, {len(self.inputs)} inputs, "
-                f"{len(self.targets)} targets; expected the same number of each"
-            )
+        check_rows("snapshot", self.slots, self.pairs, self.inputs, self.targets)
+
+
+class ContextEvent(Message, frozen=True, kw_only=True):
+    """What the memory store made of the errors of `model` when the pair of `iteration` came.
+
+    changed: it predicts badly what it predicted well, so the context is another one; known: the new context is
+    learnt; stored: the model entered the long-term memory as `stored`; recalled: `stored` fits the new context
+    and acts. `error` is that model's on the pairs that told.
+    """
+
+    model: Name
+    iteration: Iteration
+    kind: Literal["changed", "known", "stored", "recalled"]
+    stored: Count | None = None
+    error: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_finite("error", self.error)
 
 
 class CurrentModel(Message, frozen=True, kw_only=True):
@@ -202,16 +259,48 @@ class CurrentModel(Message, frozen=True, kw_only=True):
     model: Name
     version: Count
     generation: Count
-    layers: Annotated[list[Annotated[int, Meta(ge=0, le=4096)]], Meta(min_length=2, max_length=8)]
+    layers: Layers
     weights: np.ndarray
     error: float
 
     def __post_init__(self) -> None:
-        check_array("weights", self.weights, "f", 1)
+        check_weights(self.layers, self.weights)
         check_finite("error", self.error)
-        expected = sum((i + 1) * o for i, o in zip(self.layers, self.layers[1:], strict=False))
-        if len(self.weights) != expected:
-            raise ValueError(f"weights: got {len(self.weights)}, but layers {self.layers} need {expected}")
+
+
+class LongTermModel(Message, frozen=True, kw_only=True):
+    """A model in the long-term memory, on disk or carried to another run, with its context and where it comes from.
+
+    `reads` says for each of its inputs and outputs what numbers the network gets; a brain can use the model when
+    its own variables are the same. `pairs` are a sample of the pairs that it was learnt from, `error` its mean
+    squared error on the pairs that made it worth storing; `uses` counts the changes of context after which it
+    fitted; `origin` names where it was imported from.
+    """
+
+    id: Count
+    model: Name
+    reads: dict[Text, Text]
+    layers: Layers
+    weights: np.ndarray
+    error: float
+    pairs: list[Pair]
+    uses: Count = 0
+    touched: Count = 0
+    iteration: Iteration = 0
+    experiment: Text = ""
+    brain: Text = ""
+    seed: Annotated[int, Meta(ge=0)] = 0
+    origin: Text = ""
+
+    def __post_init__(self) -> None:
+        check_weights(self.layers, self.weights)
+        check_finite("error", self.error)
+
+
+class LongTermFile(Message, frozen=True, kw_only=True):
+    """Models on their way from one run to another: `mdb ltm export`, `mdb ltm import`."""
+
+    models: list[LongTermModel]
 
 
 class IterationReport(Message, frozen=True, kw_only=True):

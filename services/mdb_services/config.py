@@ -17,8 +17,10 @@ from msgspec import Meta
 
 from mdb_protocol.errors import ConfigError
 from mdb_services.mechanism.choice import Mode
+from mdb_services.mechanism.context import ContextConfig
 from mdb_services.mechanism.encoding import Channel, Codebook, Encoding
-from mdb_services.mechanism.settings import EvolutionConfig
+from mdb_services.mechanism.ltm import LongTermConfig
+from mdb_services.mechanism.settings import LEARNER_CONFIGS, EvolutionConfig, LearnerConfig
 from mdb_services.mechanism.stm import MemoryConfig
 
 T = TypeVar("T")
@@ -64,7 +66,10 @@ class ChannelSection(Section, frozen=True, kw_only=True):
 
 
 class ModelSection(Section, frozen=True, kw_only=True):
-    """`[[model]]`: one evolver. `evolution` and `memory` say what differs from the file's defaults."""
+    """`[[model]]`: one evolver. `evolution`, `memory`, `context`, `long_term`: what differs from the file's.
+
+    `learner` is instead of the file's: its `name`, and its settings if they are not in `evolution`.
+    """
 
     name: Name
     role: Literal["world", "satisfaction"]
@@ -73,8 +78,11 @@ class ModelSection(Section, frozen=True, kw_only=True):
     hidden: Annotated[tuple[Annotated[int, Meta(ge=1, le=512)], ...], Meta(min_length=1, max_length=4)]
     capacity: Annotated[int, Meta(ge=1, le=100_000)]
     """Pairs in its short-term memory."""
+    learner: dict[str, Any] = {}
     evolution: dict[str, Any] = {}
     memory: dict[str, Any] = {}
+    context: dict[str, Any] = {}
+    long_term: dict[str, Any] = {}
 
 
 class ModeSection(Section, frozen=True, kw_only=True):
@@ -111,8 +119,11 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
     model: Annotated[tuple[ModelSection, ...], Meta(min_length=1)]
     mode: Annotated[tuple[ModeSection, ...], Meta(min_length=1)]
     optimizer: OptimizerSection
+    learner: dict[str, Any] = {}
     evolution: dict[str, Any] = {}
     memory: dict[str, Any] = {}
+    context: dict[str, Any] = {}
+    long_term: dict[str, Any] = {}
 
     @property
     def lockstep(self) -> bool:
@@ -130,9 +141,35 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
         """Return the file's evolution settings with what the model changes."""
         return make(EvolutionConfig, self.evolution | model.evolution, f"evolution of model {model.name}")
 
+    def learner_of(self, model: ModelSection) -> tuple[str, LearnerConfig]:
+        """Return the name and the settings of a model's learner: its own, or else the file's, or else the PBGA."""
+        settings = dict(model.learner or self.learner or {"name": "pbga"})
+        name = str(settings.pop("name", ""))
+        if name not in LEARNER_CONFIGS:
+            raise ConfigError(f"learner of model {model.name}: name is {name!r}{_nearest(name, LEARNER_CONFIGS)}")
+        if LEARNER_CONFIGS[name] is not EvolutionConfig:
+            return name, make(LEARNER_CONFIGS[name], settings, f"learner of model {model.name}")
+        if settings:
+            known = ", ".join(map(repr, sorted(settings)))
+            raise ConfigError(f"learner of model {model.name}: {known}: the settings of {name!r} are in 'evolution'")
+        return name, self.evolution_of(model)
+
     def memory_of(self, model: ModelSection) -> MemoryConfig:
         """Return the file's memory settings with what the model changes."""
         return make(MemoryConfig, self.memory | model.memory, f"memory of model {model.name}")
+
+    def context_of(self, model: ModelSection) -> ContextConfig:
+        """Return the file's settings for changes of context with what the model changes."""
+        return make(ContextConfig, self.context | model.context, f"context of model {model.name}")
+
+    def long_term_of(self, model: ModelSection) -> LongTermConfig:
+        """Return the file's long-term memory settings with what the model changes."""
+        return make(LongTermConfig, self.long_term | model.long_term, f"long_term of model {model.name}")
+
+    def reads(self, model: ModelSection) -> dict[str, str]:
+        """Return what each input and output of a model is as numbers: two brains in which it is the same can swap."""
+        variables = self.variables()
+        return {name: variables[name].describe() for name in (*model.inputs, *model.outputs)}
 
     def variables(self) -> dict[str, Channel]:
         """Return the channel of each variable a model may use, `next.` and `covered.` ones included."""
@@ -164,7 +201,10 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
             except ValueError as error:
                 raise ConfigError(f"model {model.name}: {error}") from error
             self.evolution_of(model)
+            self.learner_of(model)
             self.memory_of(model)
+            self.context_of(model)
+            self.long_term_of(model)
         for name, section in self.channels.items():
             self._check_channel(name, section.of, variables[name].indices)
         models = {model.name: model for model in self.model}

@@ -13,12 +13,12 @@ import structlog
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
-from mdb_protocol.errors import QueryError
+from mdb_protocol.errors import ConfigError, QueryError
 from mdb_services.config import BrainConfig
 from mdb_services.mechanism.encoding import Codebook
+from mdb_services.mechanism.learners import Learner, make_learner
 from mdb_services.mechanism.network import Network, Shape
-from mdb_services.mechanism.pbga import PromoterGA
-from mdb_services.mechanism.settings import EvolutionConfig
+from mdb_services.mechanism.settings import DifferentialConfig, EvolutionConfig
 from mdb_services.mechanism.stm import Change, MemoryMirror, VersionGapError
 
 log = structlog.get_logger()
@@ -29,10 +29,18 @@ QUERY_S = 2.0
 
 
 def compile_kernels() -> None:
-    """Compile the evolution once (and cache it), so that no first memory version waits for a compiler."""
+    """Compile evolution and errors once (and cache them), so that no first memory version waits for a compiler."""
     rows = np.zeros((2, 1), np.float32)
-    config = EvolutionConfig(generations=1)
-    PromoterGA(Shape(1, (1,), 1), config, 0, "warm-up").learn(rows, rows, version=0)
+    for name, settings in (("pbga", EvolutionConfig(generations=1)), ("de", DifferentialConfig(generations=1))):
+        make_learner(name, Shape(1, (1,), 1), settings, 0, "warm-up").learn(rows, rows, version=0)
+
+
+def _learner_of(config: BrainConfig, model: str, shape: Shape) -> Learner:
+    name, settings = config.learner_of(config.model_named(model))
+    try:
+        return make_learner(name, shape, settings, config.experiment.seed, f"{ROLE}/{model}")
+    except ModuleNotFoundError as error:
+        raise ConfigError(str(error)) from error
 
 
 class Evolver:
@@ -45,9 +53,8 @@ class Evolver:
         section = config.model_named(model)
         codebook = Codebook(config.variables(), section.inputs, section.outputs)
         self.bus, self.instance = bus, model
-        self._evolution = config.evolution_of(section)
         shape = Shape(codebook.width, section.hidden, len(section.outputs))
-        self._learner = PromoterGA(shape, self._evolution, config.experiment.seed, f"{ROLE}/{model}")
+        self._learner = _learner_of(config, model, shape)
         compile_kernels()
         self._lockstep = config.lockstep
         self._mirror = MemoryMirror(section.capacity, shape.inputs, shape.outputs)
@@ -88,11 +95,13 @@ class Evolver:
         except (QueryError, ValueError) as error:
             self.bus.refusals.add(keys.MEMORY_SNAPSHOT.path, f"no usable memory; asking again: {error}")
             return False
+        self._recall(snapshots[0].seeds)
         if kept and not self._generations:
             self._seed(kept[0])
         return True
 
     def _seed(self, kept: messages.CurrentModel) -> None:
+        """Begin with the model that was kept."""
         try:
             self._learner.seed([Network.from_arrays(kept.layers, kept.weights)])
         except ValueError as error:
@@ -101,9 +110,18 @@ class Evolver:
         self._generations = kept.generation
         log.info("seeded with the kept model", model=self.instance, version=kept.version)
 
+    def _recall(self, seeds: list[messages.ModelWeights]) -> None:
+        """Put networks from the long-term memory into the population: the context has changed."""
+        for seed in seeds:
+            try:
+                self._learner.seed([Network.from_arrays(seed.layers, seed.weights)])
+            except ValueError as error:
+                self.bus.refusals.add(keys.MEMORY_CHANGE.path, f"left out a recalled network: {error}")
+
     def _load(self, snapshot: messages.MemorySnapshot) -> None:
         self._mirror.restore(
             {
+                "slots": snapshot.slots,
                 "inputs": snapshot.inputs,
                 "targets": snapshot.targets,
                 "ids": snapshot.pairs,
@@ -114,9 +132,12 @@ class Evolver:
     def _follow(self, change: messages.MemoryChange) -> None:
         if change.version <= self._mirror.version:
             return
+        self._recall(change.seeds)
         try:
-            entry = Change(change.version, change.slot, change.pair, change.evicted)
-            self._mirror.apply(entry, change.inputs, change.targets)
+            slots, ids, evicted, freed = (
+                tuple(array.tolist()) for array in (change.slots, change.pairs, change.evicted, change.freed)
+            )
+            self._mirror.apply(Change(change.version, slots, ids, evicted, freed), change.inputs, change.targets)
         except VersionGapError:
             log.info("missed a change; asking for the whole memory", model=self.instance, version=change.version)
             self._joined = False
@@ -128,7 +149,7 @@ class Evolver:
         started = time.perf_counter()
         inputs, targets, _ = self._mirror.arrays()
         best = self._learner.learn(inputs, targets, version=self._mirror.version)
-        self._generations += self._evolution.generations
+        self._generations += self._learner.generations
         self._learnt_version, self._error = self._mirror.version, best.error
         layers, weights = best.network.to_arrays()
         self._publisher.put(

@@ -13,7 +13,8 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import IterationReport
 from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.evolver import Evolver
-from mdb_services.memory_store import MemoryStore, PairFile
+from mdb_services.memory_file import MemoryFile
+from mdb_services.memory_store import MemoryStore
 from mdb_services.optimizer import Optimizer
 from mdb_services.recorder import Recorder
 from mdb_services.service import Service, run_inline
@@ -37,7 +38,7 @@ def run_experiment(
     def bus() -> MemoryBus:
         return MemoryBus(fabric, brain.experiment.brain)
 
-    services: list[Service] = [Recorder(bus(), run), MemoryStore(bus(), brain, PairFile(run / MEMORY_FILE))]
+    services: list[Service] = [Recorder(bus(), run), MemoryStore(bus(), brain, MemoryFile(run / MEMORY_FILE))]
     services += [Evolver(bus(), brain, model.name) for model in brain.model]
     services.append(experiment.robot_service(bus(), gui=gui))
     if experiment.teacher is not None:

@@ -25,6 +25,8 @@ SETTLED = 0.4
 """Share of a phase, at its end, in which obedience is judged: 300-500 and 1300-1500 in the paper."""
 EVERY = 5
 """Iterations from one evaluation on all command-action pairs to the next."""
+RECENT, OBEDIENT = 20, 0.9
+"""Commands in the sliding window of obedience, and the share of them that is called obedience."""
 
 Window = tuple[int, int]
 """Iterations from the first to the second, which is not included."""
@@ -46,14 +48,25 @@ def running_mean(record: RunRecord, values: Floats, *, full: bool = False) -> Fl
     """
     means = np.full(record.iterations, np.nan)
     for span in record.taught:
-        places = span.start + np.flatnonzero(np.isfinite(values[span.start : span.stop]))
-        sums = np.concatenate([[0.0], np.cumsum(values[places])])
-        last = np.arange(1, len(places) + 1)
-        first = np.maximum(last - AVERAGED, 0)
-        found = (sums[last] - sums[first]) / (last - first)
-        if full:
-            found[: AVERAGED - 1] = np.nan
-        means[places] = found
+        phase = slice(span.start, span.stop)
+        means[phase] = mean_of_last(values[phase], AVERAGED, full=full)
+    return means
+
+
+def mean_of_last(values: Floats, count: int, *, full: bool = False) -> Floats:
+    """Return, where a value is not nan, the mean of the last `count` such values, itself included (n,).
+
+    `full`: nan until there are that many; otherwise the mean of those that there are.
+    """
+    means = np.full(len(values), np.nan)
+    places = np.flatnonzero(np.isfinite(values))
+    sums = np.concatenate([[0.0], np.cumsum(values[places])])
+    last = np.arange(1, len(places) + 1)
+    first = np.maximum(last - count, 0)
+    found = (sums[last] - sums[first]) / (last - first)
+    if full:
+        found[: count - 1] = np.nan
+    means[places] = found
     return means
 
 
@@ -177,6 +190,33 @@ def obedience(record: RunRecord, window: Window) -> float:
 def obedience_window(span: Span) -> Window:
     """Return the last part of a taught phase, in which the language has been learnt."""
     return span.stop - round(SETTLED * (span.stop - span.start)), span.stop
+
+
+def recent_obedience(record: RunRecord, span: Span, *, full: bool = False) -> Floats:
+    """Return the share obeyed of a phase's last `RECENT` commands: (n,) for its iterations in the log.
+
+    nan where no command came. `full`: nan until there are that many; otherwise the share of those that there are.
+    """
+    return mean_of_last(obeyed(record)[span.start : span.stop], RECENT, full=full)
+
+
+def iterations_to_obedience(record: RunRecord, span: Span) -> float:
+    """Return the iterations from a phase's beginning until `OBEDIENT` of the last `RECENT` commands were obeyed.
+
+    Only commands of the phase count, so this is at least `RECENT`. inf: not in the whole phase; nan: not yet,
+    in a run that ended before the phase.
+    """
+    obedient = np.flatnonzero(recent_obedience(record, span, full=True) >= OBEDIENT)
+    if len(obedient):
+        return float(obedient[0] + 1)
+    return np.inf if record.iterations >= span.stop else np.nan
+
+
+def disobeyed_at_first(record: RunRecord, span: Span) -> float:
+    """Return how many of a phase's first `RECENT` commands were not obeyed; nan when fewer came."""
+    commands = obeyed(record)[span.start : span.stop]
+    commands = commands[np.isfinite(commands)][:RECENT]
+    return float(np.sum(commands == 0)) if len(commands) == RECENT else np.nan
 
 
 def captures(record: RunRecord, window: Window) -> float:

@@ -28,6 +28,18 @@ def repeatable(run: Path) -> dict[str, list[dict[str, Any]]]:
     return values
 
 
+RESTLESS = (
+    "context.known_pairs=3",
+    "context.known_error=2.0",
+    "context.margin=0.05",
+    "context.threshold=1.01",
+    "long_term.stable_pairs=5",
+    "long_term.good_error=0.8",
+    "long_term.fit_error=0.5",
+)
+"""Settings with which a short run changes context again and again, and stores and recalls models."""
+
+
 @pytest.fixture(scope="module")
 def inline_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("inline")
@@ -53,6 +65,20 @@ def test_lockstep_processes_log_what_one_process_logs(body: str, tmp_path: Path,
     assert len(expected[keys.ITERATION.at("pioneer")]) == 80
 
 
+def test_lockstep_processes_change_context_as_one_process_does(tmp_path: Path) -> None:
+    run_experiment(Experiment.read(EXPERIMENT, [*SHORT, *RESTLESS, "experiment.pace=lockstep"]), tmp_path / "inline")
+    folder = tmp_path / "processes"
+    folder.mkdir()
+    with Brain(folder, *RESTLESS, pace="lockstep") as brain:
+        assert brain.wait() == 0, brain.output()
+        expected, got = repeatable(tmp_path / "inline"), repeatable(brain.run)
+    assert got == expected
+    events = expected[keys.CONTEXT.at("pioneer", model="communication")]
+    assert {event["kind"] for event in events} == {"changed", "known", "stored", "recalled"}
+    recalled = [c["pairs"] for c in expected[keys.MEMORY_CHANGE.at("pioneer", model="communication")] if c["seeds"]]
+    assert any(min(pairs, default=0) < 0 for pairs in recalled)
+
+
 def test_same_seed_gives_the_same_run_and_another_seed_another(tmp_path: Path, inline_run: Path) -> None:
     settings = [*SHORT, "experiment.pace=lockstep"]
     run_experiment(Experiment.read(EXPERIMENT, settings), tmp_path / "again")
@@ -64,8 +90,11 @@ def test_same_seed_gives_the_same_run_and_another_seed_another(tmp_path: Path, i
 def test_pairs_without_teacher_leave_the_communication_memory_alone(inline_run: Path) -> None:
     changes = [r.message for r in read_log(inline_run) if r.row is keys.MEMORY_CHANGE]
     taught = {pair for pair in range(80) if pair < 30 or 50 <= pair < 70}
-    communication = {c.pair for c in changes if c.model == "communication"}  # type: ignore[attr-defined]
-    alone = {c.pair for c in changes if c.model == "object"} - taught  # type: ignore[attr-defined]
+    pairs = {
+        name: {int(pair) for c in changes if c.model == name for pair in c.pairs}  # type: ignore[attr-defined]
+        for name in ("communication", "object")
+    }
+    communication, alone = pairs["communication"], pairs["object"] - taught
     assert communication == taught
     assert alone, "the object model learns on without a teacher"
 

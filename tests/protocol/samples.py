@@ -1,4 +1,4 @@
-"""A hypothesis strategy of valid messages for each class in the key table."""
+"""A hypothesis strategy of valid messages for each class that travels or is kept on disk."""
 
 from itertools import pairwise
 from typing import Any
@@ -24,6 +24,7 @@ VERSIONS = st.dictionaries(NAMES, COUNTS, max_size=4)
 NOTES = st.none() | st.integers(0, 127)
 ACTIONS = st.integers(0, 1023)
 SHARES = st.floats(-1, 1)
+TEXTS = st.text(max_size=20)
 PLACEMENTS = st.builds(
     messages.Placement, x_m=FLOATS, y_m=FLOATS, heading_rad=FLOATS, object_x_m=FLOATS, object_y_m=FLOATS
 )
@@ -35,34 +36,69 @@ def floats(shape: Any) -> st.SearchStrategy[np.ndarray]:
     return narrow | hnp.arrays(np.float64, shape, elements=FLOATS)
 
 
-ROWS = st.integers(0, 6).flatmap(floats)
+def indices(shape: Any) -> st.SearchStrategy[np.ndarray]:
+    """Arrays of slots or of pairs, some of them recalled ones."""
+    return hnp.arrays(np.int64, shape, elements=st.integers(-(2**53), 2**53))
 
 
 @st.composite
-def snapshots(draw: st.DrawFn) -> messages.MemorySnapshot:
-    rows, inputs, outputs = draw(st.integers(0, 5)), draw(st.integers(1, 4)), draw(st.integers(1, 3))
-    return messages.MemorySnapshot(
-        model=draw(NAMES),
-        version=draw(COUNTS),
-        pairs=draw(hnp.arrays(np.int64, rows, elements=COUNTS)),
-        inputs=draw(floats((rows, inputs))),
-        targets=draw(floats((rows, outputs))),
-    )
-
-
-@st.composite
-def current_models(draw: st.DrawFn) -> messages.CurrentModel:
+def networks(draw: st.DrawFn) -> dict[str, Any]:
+    """Layers, and as many weights as they need."""
     layers = draw(st.lists(st.integers(0, 6), min_size=2, max_size=5))
     weights = sum((i + 1) * o for i, o in pairwise(layers))
-    return messages.CurrentModel(
+    return {"layers": layers, "weights": draw(floats(weights))}
+
+
+@st.composite
+def with_network(draw: st.DrawFn, cls: type[Message], **fields: st.SearchStrategy[Any]) -> Message:
+    """A message that holds a network, and other fields."""
+    return cls(**draw(networks()), **{name: draw(field) for name, field in fields.items()})
+
+
+WEIGHTS = with_network(messages.ModelWeights)
+
+
+@st.composite
+def memories(draw: st.DrawFn, cls: type[Message], **fields: st.SearchStrategy[Any]) -> Message:
+    """A message that holds pairs with their slots and rows, and other fields."""
+    rows, inputs, outputs = draw(st.integers(0, 5)), draw(st.integers(1, 4)), draw(st.integers(1, 3))
+    return cls(
         model=draw(NAMES),
         version=draw(COUNTS),
-        generation=draw(COUNTS),
-        layers=layers,
-        weights=draw(floats(weights)),
-        error=draw(FLOATS),
+        slots=draw(indices(rows)),
+        pairs=draw(indices(rows)),
+        inputs=draw(floats((rows, inputs))),
+        targets=draw(floats((rows, outputs))),
+        seeds=draw(st.lists(WEIGHTS, max_size=2)),
+        **{name: draw(field) for name, field in fields.items()},
     )
 
+
+PAIRS = st.builds(
+    messages.Pair,
+    iteration=COUNTS,
+    before=READINGS,
+    note=NOTES,
+    action=ACTIONS,
+    after=READINGS,
+    feedback=st.none() | SHARES,
+    versions=VERSIONS,
+)
+LONG_TERM = with_network(
+    messages.LongTermModel,
+    id=COUNTS,
+    model=NAMES,
+    reads=st.dictionaries(TEXTS, TEXTS, max_size=4),
+    error=FLOATS,
+    pairs=st.lists(PAIRS, max_size=3),
+    uses=COUNTS,
+    touched=COUNTS,
+    iteration=COUNTS,
+    experiment=TEXTS,
+    brain=TEXTS,
+    seed=st.integers(0, 2**62),
+    origin=TEXTS,
+)
 
 SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
     messages.Perception: st.builds(
@@ -85,29 +121,27 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
     messages.Command: st.builds(messages.Command, teacher=NAMES, iteration=COUNTS, note=NOTES),
     messages.Feedback: st.builds(messages.Feedback, teacher=NAMES, iteration=COUNTS, value=SHARES),
     messages.Phase: st.builds(messages.Phase, iteration=COUNTS, name=st.text(max_size=50), teacher=st.none() | NAMES),
-    messages.Pair: st.builds(
-        messages.Pair,
-        iteration=COUNTS,
-        before=READINGS,
-        note=NOTES,
-        action=ACTIONS,
-        after=READINGS,
-        feedback=st.none() | SHARES,
-        versions=VERSIONS,
-    ),
+    messages.Pair: PAIRS,
     messages.PairStored: st.builds(messages.PairStored, iteration=COUNTS, versions=VERSIONS),
-    messages.MemoryChange: st.builds(
+    messages.MemoryChange: memories(
         messages.MemoryChange,
-        model=NAMES,
-        version=COUNTS,
-        slot=st.integers(0, 2**31),
-        pair=COUNTS,
-        evicted=st.none() | COUNTS,
-        inputs=ROWS,
-        targets=ROWS,
+        freed=st.integers(0, 4).flatmap(indices),
+        evicted=st.integers(0, 4).flatmap(indices),
     ),
-    messages.MemorySnapshot: snapshots(),
-    messages.CurrentModel: current_models(),
+    messages.MemorySnapshot: memories(messages.MemorySnapshot),
+    messages.ContextEvent: st.builds(
+        messages.ContextEvent,
+        model=NAMES,
+        iteration=COUNTS,
+        kind=st.sampled_from(["changed", "known", "stored", "recalled"]),
+        stored=st.none() | COUNTS,
+        error=FLOATS,
+    ),
+    messages.CurrentModel: with_network(
+        messages.CurrentModel, model=NAMES, version=COUNTS, generation=COUNTS, error=FLOATS
+    ),
+    messages.LongTermModel: LONG_TERM,
+    messages.LongTermFile: st.builds(messages.LongTermFile, models=st.lists(LONG_TERM, max_size=2)),
     messages.IterationReport: st.builds(
         messages.IterationReport,
         iteration=COUNTS,
@@ -134,5 +168,7 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
 }
 
-TYPES = sorted({row.message for row in keys.KEYS if row.message}, key=lambda cls: cls.__name__)
-"""Every message class of the key table."""
+ON_DISK: set[type[Message]] = {messages.LongTermModel, messages.LongTermFile}
+"""Message classes that no key carries: the long-term memory's rows, and what goes from run to run."""
+TYPES = sorted({row.message for row in keys.KEYS if row.message} | ON_DISK, key=lambda cls: cls.__name__)
+"""Every message class that is encoded as a whole."""

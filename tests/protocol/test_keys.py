@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mdb_protocol import keys, messages
 from mdb_protocol.errors import MdbError
 from mdb_protocol.keys import KEYS, Delivery, Key
-from tests.protocol.samples import NAMES, fixed
+from tests.protocol.samples import NAMES, ON_DISK, fixed
 
 every_row = pytest.mark.parametrize("row", KEYS, ids=lambda row: row.path)
 
@@ -65,7 +65,7 @@ def test_every_message_lies_on_exactly_the_rows_expected() -> None:
         cls for cls in vars(messages).values()
         if isinstance(cls, type) and issubclass(cls, messages.Message) and cls is not messages.Message
     ]  # fmt: skip
-    parts = {"Placement"}
+    parts = {"Placement", "ModelWeights"} | {cls.__name__ for cls in ON_DISK}
     twice = {"CurrentModel": 2}
     assert rows == {cls.__name__: twice.get(cls.__name__, 1) for cls in classes if cls.__name__ not in parts}
     assert [row.path for row in KEYS if row.message is None] == ["alive/{role}/{instance}"]

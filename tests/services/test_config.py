@@ -1,6 +1,7 @@
 """The experiment file: overrides, defaults, and errors that name the place and the mend."""
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ from hypothesis import strategies as st
 
 from mdb_protocol.errors import ConfigError
 from mdb_services.config import brain_config, read_file
+from mdb_services.mechanism.context import ContextConfig
+from mdb_services.mechanism.ltm import LongTermConfig
+from mdb_services.mechanism.settings import AdamConfig, RidgeConfig
 from tests.services.small import CONTENT, config, content
 
 PAPER = Path(__file__).parents[2] / "deploy" / "experiments" / "paper.toml"
@@ -41,6 +45,8 @@ def test_the_papers_file_is_valid() -> None:
         ("experiment.pace=lockstep", ["experiment", "pace"], "lockstep"),
         ('experiment.pace="lockstep"', ["experiment", "pace"], "lockstep"),
         ("model.object.hidden=[12, 3]", ["model", 1, "hidden"], [12, 3]),
+        ("learner.name=ga", ["learner", "name"], "ga"),
+        ("model.object.learner.name=de", ["model", 1, "learner", "name"], "de"),
         ("model.induced.evolution.mutation_rate=0.5", ["model", 2, "evolution", "mutation_rate"], 0.5),
         ("teacher.phase.second teacher.start=7", ["teacher", "phase", 2, "start"], 7),
         ("optimizer.feedback_patience_s = 3.5", ["optimizer", "feedback_patience_s"], 3.5),
@@ -95,7 +101,20 @@ def test_any_override_is_taken_or_a_config_error(path: str, value: str) -> None:
         (content(experiment={"seeed": 3}), "seeed"),
         (content(evolution={"populaton": 3}), "did you mean 'population'?"),
         (models(evolution={"elit": 1}), "model communication: unknown setting 'elit'; did you mean 'elite'?"),
+        (models(learner={"name": "adm"}), "learner of model communication: name is 'adm'; did you mean 'adam'?"),
+        (models(learner={"name": ["de"]}), "learner of model communication: name is \"['de']\""),
+        (models(learner={"steps": 20}), "learner of model communication: name is ''; there are adam, cma"),
+        (models(learner={"name": "adam", "step": 2}), "unknown setting 'step'; did you mean 'steps'?"),
+        (models(learner={"name": "adam", "steps": 0}), "learner of model communication: steps is 0"),
+        (models(learner={"name": "ga", "elite": 2}), "'elite': the settings of 'ga' are in 'evolution'"),
+        (content(learner={"name": "pgba"}), "learner of model communication: name is 'pgba'; did you mean 'pbga'?"),
         (models(memory={"recencey": 1.0}), "unknown setting 'recencey'; did you mean 'recency'?"),
+        (models(context={"treshold": 2.0}), "context of model communication: unknown setting 'treshold'; did you"),
+        (models(long_term={"capacty": 2}), "long_term of model communication: unknown setting 'capacty'; did you"),
+        (content(context={"threshold": 0.5}), "context of model communication: threshold is 0.5; expected more than"),
+        (content(context={"enabled": 1}), "context of model communication"),
+        (content(long_term={"newest": 1}), "long_term of model communication: newest is 1; expected fit_pairs = 2"),
+        (content(long_term={"capacity": 2.5}), "long_term of model communication"),
         (models(inputs=["note", "acton"]), "no channel for 'acton'; did you mean 'action'?"),
         (models(outputs=["next.distanc"]), "did you mean 'next.distance'?"),
         (models(outputs=["note"]), "outputs must be scalar"),
@@ -151,6 +170,66 @@ def test_a_models_settings_go_before_the_files_defaults() -> None:
     assert (brain.evolution_of(first).generations, brain.evolution_of(second).generations) == (2, 2)
     assert (brain.memory_of(first).recency, brain.memory_of(first).distance) == (0.5, 2.0)
     assert (brain.memory_of(second).recency, brain.memory_of(second).distance) == (0.5, 0.0)
+
+
+def test_a_models_context_and_long_term_memory_go_before_the_files() -> None:
+    changed = models(context={"threshold": 4.0}, long_term={"sample": 7})
+    brain = brain_config(changed | {"context": {"margin": 0.3}, "long_term": {"capacity": 2}}, "small.toml")
+    first, second = (brain.context_of(model) for model in brain.model)
+    assert (first.threshold, first.margin) == (4.0, 0.3)
+    assert second == replace(first, threshold=ContextConfig().threshold)
+    one, other = (brain.long_term_of(model) for model in brain.model)
+    assert (one.sample, one.capacity) == (7, 2)
+    assert other == replace(one, sample=LongTermConfig().sample)
+
+
+def test_what_a_model_reads_is_said_by_name_inputs_before_outputs() -> None:
+    brain = config()
+    communication, object_model = (list(brain.reads(model).items()) for model in brain.model)
+    assert communication == [
+        ("note", "one_hot of 3"), ("action", "rank of 0, -20, 20"), ("feedback", "scalar -1 to 1"),
+    ]  # fmt: skip
+    assert object_model == [
+        ("distance", "scalar 0 to 2"), ("action", "rank of 0, -20, 20"), ("next.distance", "scalar 0 to 2"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        channels(note={"size": 4}),
+        channels(note={"encoding": "scalar"}),
+        channels(action={"values": [0, 20, -20]}),
+        channels(action={"encoding": "value"}),
+        channels(feedback={"high": 2.0}),
+        models(inputs=["action", "note"]),
+        models(outputs=["feedback", "next.distance"]),
+    ],
+)
+def test_brains_whose_models_read_other_numbers_can_be_told_apart(changed: dict[str, Any]) -> None:
+    other = brain_config(changed, "other.toml")
+    assert list(other.reads(other.model[0]).items()) != list(config().reads(config().model[0]).items())
+
+
+def test_brains_that_differ_in_what_a_model_does_not_read_are_the_same_to_it() -> None:
+    other = brain_config(channels(distance={"high": 3.0}), "other.toml")
+    assert other.reads(other.model[0]) == config().reads(config().model[0])
+
+
+def test_a_models_learner_is_instead_of_the_files() -> None:
+    changed = models(learner={"name": "adam", "steps": 7}, evolution={"elite": 3})
+    for default, second in (({}, "pbga"), ({"name": "ridge", "features": 9}, "ridge")):
+        brain = brain_config(changed | {"learner": default}, "small.toml")
+        names, settings = zip(*(brain.learner_of(model) for model in brain.model), strict=True)
+        assert names == ("adam", second)
+        assert settings[0] == AdamConfig(steps=7)
+    assert settings[1] == RidgeConfig(features=9)
+
+
+@pytest.mark.parametrize("name", ["pbga", "ga"])
+def test_what_evolves_a_population_has_its_settings_from_evolution(name: str) -> None:
+    brain = brain_config(models(learner={"name": name}, evolution={"elite": 3}), "small.toml")
+    assert brain.learner_of(brain.model[0]) == (name, brain.evolution_of(brain.model[0]))
 
 
 def test_variables_have_their_derived_channels() -> None:

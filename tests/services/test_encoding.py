@@ -75,6 +75,40 @@ def test_channels_that_cannot_scale_are_refused(fields: dict) -> None:
         Channel(**fields)
 
 
+@pytest.mark.parametrize(
+    ("channel", "words"),
+    [
+        (Channel(), "scalar -1 to 1"),
+        (Channel(low=0.0, high=2.5), "scalar 0 to 2.5"),
+        (Channel(encoding="one_hot", size=7), "one_hot of 7"),
+        (Channel(encoding="rank", values=(0, -20, 20)), "rank of 0, -20, 20"),
+        (Channel(encoding="value", values=(0, -22.5), of="action"), "value of 0, -22.5"),
+    ],
+)
+def test_a_channel_says_how_it_becomes_numbers(channel: Channel, words: str) -> None:
+    assert channel.describe() == words
+
+
+channels = st.one_of(
+    st.builds(Channel, low=st.integers(-3, 0).map(float), high=st.integers(1, 3).map(float)),
+    st.builds(Channel, encoding=st.just("one_hot"), size=st.integers(1, 3)),
+    st.builds(
+        Channel,
+        encoding=st.sampled_from(["rank", "value"]),
+        values=st.lists(st.integers(-2, 2).map(float), min_size=2, max_size=3, unique=True).map(tuple),
+    ),
+)
+
+
+@settings(derandomize=True, deadline=None, max_examples=300)
+@given(channels, channels)
+def test_equal_words_mean_equal_numbers(one: Channel, other: Channel) -> None:
+    if one.describe() == other.describe():
+        index = values(*range(one.indices or 2))
+        assert np.array_equal(one.encode(index), other.encode(index))
+        assert one == other
+
+
 def test_facts_hold_what_was_there_and_nothing_else() -> None:
     facts = gather(before={"distance": 1.0, "angle": 0.2}, after={"distance": 0.75}, action=2)
     assert {name: value.tolist() for name, value in facts.items()} == {

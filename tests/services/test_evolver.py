@@ -1,5 +1,7 @@
 """An evolver between a hand-driven memory store and whoever wants its models."""
 
+import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.config import BrainConfig
 from mdb_services.evolver import Evolver
+from mdb_services.mechanism.network import Network
 from tests.services.small import BRAIN, LOCKSTEP, config, model
 
 NAME, CAPACITY, GENERATIONS = "object", 4, 2
@@ -45,6 +48,7 @@ class Rig:
         self.asked += 1
         order = sorted(self.rows)
         fields = {
+            "slots": np.array(order, np.int64),
             "pairs": np.array([self.rows[slot][0] for slot in order], np.int64),
             "inputs": np.array([self._inputs(self.rows[slot][1]) for slot in order], np.float32).reshape(-1, 2),
             "targets": np.array([[self.rows[slot][1]] for slot in order], np.float32).reshape(-1, 1),
@@ -57,16 +61,23 @@ class Rig:
 
     def insert(self, *, lost: bool = False) -> None:
         slot, value = self.version % CAPACITY, np.sin(self.version)
-        evicted = self.rows.get(slot, (None,))[0]
+        evicted = [self.rows[slot][0]] if slot in self.rows else []
         self.rows[slot] = (self.version, value)
         self.version += 1
         if not lost:
-            self.change(slot=slot, evicted=evicted, inputs=self._inputs(value), targets=[value])
+            self.change(slots=[slot], evicted=evicted, inputs=[self._inputs(value)], targets=[[value]])
 
-    def change(self, *, inputs: list[float], targets: list[float], **fields: Any) -> None:
-        plain = {"version": self.version, "pair": self.version, "evicted": None, "slot": 0} | fields
+    def change(
+        self, *, inputs: Any, targets: Any, seeds: Sequence[messages.ModelWeights] = (), **fields: Any
+    ) -> None:
+        """Say that the memory has changed; without fields, that a pair was written to slot 0."""
+        plain = {"slots": [0], "pairs": [self.version], "freed": [], "evicted": []}
+        arrays = {name: np.array(fields.pop(name, value), np.int64) for name, value in plain.items()}
         rows = {"inputs": np.array(inputs, np.float32), "targets": np.array(targets, np.float32)}
-        self.publisher.put(messages.MemoryChange(model=NAME, **plain, **rows))
+        version = fields.pop("version", self.version)
+        self.publisher.put(
+            messages.MemoryChange(model=NAME, version=version, seeds=list(seeds), **arrays, **rows, **fields)
+        )
 
     def settle(self) -> list[messages.CurrentModel]:
         """Step, bounded, until the evolver has nothing to do; return the models it published."""
@@ -92,6 +103,26 @@ def test_each_version_gets_its_generations_and_a_model() -> None:
         assert (learnt.layers[0], learnt.layers[-1]) == (2, 1)
     assert rig.evolver.values()["behind"] == 0
     assert rig.asked == 1
+
+
+@pytest.mark.parametrize(("learner", "generations"), [({"name": "adam", "steps": 3}, 3), ({"name": "ridge"}, 1)])
+def test_another_learner_is_the_files_choice(learner: dict[str, Any], generations: int) -> None:
+    rig = Rig(config(learner=learner))
+    rig.insert()
+    first = rig.settle()[-1]
+    rig.insert()
+    second = rig.settle()[-1]
+    assert (first.generation, second.generation) == (generations, 2 * generations)
+    rig.kept = second
+    rig.evolver.bus.close()
+    rig.start()
+    assert rig.settle()[-1].generation == 3 * generations, "it takes up its own model"
+
+
+def test_a_learner_whose_package_is_missing_is_a_config_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cmaes", None)
+    with pytest.raises(ConfigError, match=r"pip install .*\[learners\]"):
+        Evolver(MemoryBus(Fabric(), BRAIN), config(learner={"name": "cma"}), NAME)
 
 
 def test_the_concurrent_pace_learns_the_newest_of_what_came_together() -> None:
@@ -181,19 +212,23 @@ def test_changes_known_already_are_passed_over() -> None:
     rig.insert()
     rig.insert()
     assert [m.version for m in rig.settle()] == [2], "both came with the snapshot, and as changes"
-    rig.change(version=1, inputs=[9, 9], targets=[9])
+    rig.change(version=1, inputs=[[9, 9]], targets=[[9]])
     assert rig.settle() == []
 
 
 @pytest.mark.parametrize(
     "fields",
     [
-        {"inputs": [0.0, 0.0, 0.0], "targets": [0.0]},
-        {"inputs": [0.0], "targets": [0.0]},
-        {"inputs": [0.0, 0.0], "targets": []},
-        {"inputs": [0.0, 0.0], "targets": [0.0, 0.0]},
-        {"inputs": [0.0, 0.0], "targets": [0.0], "slot": 3},
-        {"inputs": [0.0, 0.0], "targets": [0.0], "slot": 2**31},
+        {"inputs": [[0.0, 0.0, 0.0]], "targets": [[0.0]]},
+        {"inputs": [[0.0]], "targets": [[0.0]]},
+        {"inputs": [[0.0, 0.0]], "targets": np.zeros((1, 0))},
+        {"inputs": [[0.0, 0.0]], "targets": [[0.0, 0.0]]},
+        {"inputs": [[0.0, 0.0]], "targets": [[0.0]], "slots": [CAPACITY]},
+        {"inputs": [[0.0, 0.0]], "targets": [[0.0]], "slots": [2**31]},
+        {"inputs": [[0.0, 0.0]], "targets": [[0.0]], "slots": [-1]},
+        {"inputs": [[0.0, 0.0]], "targets": [[0.0]], "freed": [0]},
+        {"inputs": [[0.0, 0.0]], "targets": [[0.0]], "freed": [CAPACITY]},
+        {"inputs": [[0.0, 0.0]] * 2, "targets": [[0.0]] * 2, "slots": [1, 1], "pairs": [7, 8]},
     ],
 )
 def test_a_damaged_change_is_counted_and_heals(fields: dict[str, Any]) -> None:
@@ -226,10 +261,12 @@ def test_junk_on_the_change_key_is_counted() -> None:
     [
         {"inputs": np.zeros((1, 3), np.float32)},
         {"targets": np.zeros((1, 2), np.float32)},
-        dict.fromkeys(("pairs",), np.zeros(9, np.int64))
+        {"slots": np.arange(9), "pairs": np.arange(9)}
         | {"inputs": np.zeros((9, 2), np.float32), "targets": np.zeros((9, 1), np.float32)},
+        {"slots": np.array([CAPACITY])},
+        {"slots": np.array([-1])},
     ],
-    ids=["inputs", "targets", "capacity"],
+    ids=["inputs", "targets", "capacity", "slot", "no slot"],
 )
 def test_a_snapshot_of_another_experiment_is_refused_and_asked_for_again(fields: dict[str, Any]) -> None:
     rig = Rig()
@@ -260,6 +297,128 @@ def test_a_kept_model_that_does_not_fit_is_refused_and_evolution_begins_anew(lay
     rig.insert()
     assert [(m.version, m.generation) for m in rig.settle()] == [(1, GENERATIONS)]
     assert rig.evolver.bus.refusals.counts[keys.KEPT_MODEL.path] == 1
+
+
+def network(value: float, hidden: int = 1) -> messages.ModelWeights:
+    """What explains the rig's memory exactly when `value` is 1: the target is the first input; nearly linear."""
+    layers = [2, hidden, 1]
+    first, last = np.zeros((hidden, 3)), np.zeros((1, hidden + 1))
+    first[0, 0], last[0, 0] = 1e-3, 1e3 * value
+    return messages.ModelWeights(layers=layers, weights=np.concatenate([first.ravel(), last.ravel()]))
+
+
+EXACT, WRONG, OPPOSITE = network(1.0), network(-1.0), network(-0.5)
+
+
+def settled(*, seeds: Sequence[messages.ModelWeights] = ()) -> tuple[Rig, messages.CurrentModel]:
+    """A rig that has learnt a full memory, then a change that brings seeds and nothing else."""
+    rig = Rig()
+    for _ in range(CAPACITY):
+        rig.insert()
+        rig.settle()
+    rig.version += 1
+    rig.change(slots=[], pairs=[], inputs=np.zeros((0, 2)), targets=np.zeros((0, 1)), seeds=seeds)
+    (learnt,) = rig.settle()
+    assert learnt.version == rig.version == CAPACITY + 1
+    return rig, learnt
+
+
+@pytest.mark.parametrize("seeds", [[EXACT], [EXACT, WRONG], [WRONG, OPPOSITE, EXACT]], ids=len)
+def test_recalled_networks_enter_the_population(seeds: list[messages.ModelWeights]) -> None:
+    _, without = settled()
+    rig, learnt = settled(seeds=seeds)
+    assert learnt.error < 1e-5 < without.error, "the best is as good as the best seed"
+    assert rig.evolver.bus.refusals.counts == {}
+    rig.insert()
+    assert rig.settle()[-1].error < 1e-5, "and stays"
+
+
+def test_wrong_seeds_do_no_harm() -> None:
+    _, without = settled()
+    _, learnt = settled(seeds=[WRONG, OPPOSITE])
+    assert learnt.error <= without.error * 1.5
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        network(1.0, hidden=9),
+        messages.ModelWeights(layers=[3, 0, 1], weights=np.zeros(1)),
+        messages.ModelWeights(layers=[2, 1], weights=np.zeros(3)),
+        messages.ModelWeights(layers=[2, 1, 1, 1], weights=np.zeros(7)),
+    ],
+    ids=lambda bad: str(bad.layers),
+)
+def test_a_recalled_network_that_does_not_fit_is_counted_and_the_others_are_taken(bad: messages.ModelWeights) -> None:
+    for seeds in ([bad, EXACT], [EXACT, bad]):
+        rig, learnt = settled(seeds=seeds)
+        assert rig.evolver.bus.refusals.counts == {keys.MEMORY_CHANGE.path: 1}
+        assert learnt.error < 1e-5
+
+
+def test_a_change_of_context_frees_slots_and_writes_others() -> None:
+    rig = Rig()
+    for _ in range(CAPACITY):
+        rig.insert()
+    rig.settle()
+    rig.version += 1
+    values = [0.3, -0.8]
+    rig.change(
+        slots=[3, 0], pairs=[-1, -2], freed=[1], evicted=[0, 1, 3],
+        inputs=[rig._inputs(value) for value in values], targets=[[value] for value in values],
+    )  # fmt: skip
+    (learnt,) = rig.settle()
+    inputs = np.array([rig._inputs(value) for value in (-0.8, np.sin(2), 0.3)], np.float32)
+    misses = Network.from_arrays(learnt.layers, learnt.weights).predict(inputs) - inputs[:, :1]
+    assert learnt.error == pytest.approx(np.mean(misses**2), rel=1e-5)
+    rig.rows = {0: (-2, -0.8), 2: (2, np.sin(2)), 3: (-1, 0.3)}
+    asked, other = rig.asked, rig.start()
+    other.step()
+    assert rig.asked == asked + 1
+    for one, same in zip(other._mirror.arrays(), rig.evolver._mirror.arrays(), strict=True):
+        assert np.array_equal(one, same)
+
+
+@pytest.mark.xfail(strict=True, reason="the error over an empty memory is NaN, which no message carries")
+def test_a_memory_that_was_emptied_is_followed_and_nothing_is_learnt_from_it() -> None:
+    rig = Rig()
+    rig.insert()
+    rig.settle()
+    rig.version += 1
+    nothing = {"slots": [], "pairs": [], "inputs": np.zeros((0, 2)), "targets": np.zeros((0, 1))}
+    rig.change(**nothing, freed=[0], evicted=[0])
+    rig.settle()
+    rig.rows.clear()
+    rig.insert()
+    assert [m.version for m in rig.settle()] == [3]
+
+
+def test_an_evolver_that_joins_takes_the_networks_of_the_present_context() -> None:
+    rig = Rig(store=False)
+    for _ in range(CAPACITY):
+        rig.insert()
+    rig.snapshot_fields = {"seeds": [EXACT]}
+    rig.open_store()
+    assert rig.settle()[-1].error < 1e-5
+
+
+def test_an_evolver_that_joins_takes_all_of_them_and_the_kept_model() -> None:
+    rig = Rig(store=False)
+    for _ in range(CAPACITY):
+        rig.insert()
+    rig.snapshot_fields = {"seeds": [EXACT, WRONG]}
+    rig.kept = model(NAME, 1)
+    rig.open_store()
+    assert rig.settle()[-1].error < 1e-5
+
+
+def test_after_a_gap_the_networks_come_with_the_snapshot() -> None:
+    rig, _ = settled()
+    rig.version += 2
+    rig.snapshot_fields = {"seeds": [EXACT]}
+    rig.change(slots=[], pairs=[], inputs=np.zeros((0, 2)), targets=np.zeros((0, 1)))
+    (learnt,) = rig.settle()
+    assert (learnt.version, learnt.error < 1e-5) == (rig.version, True)
 
 
 def test_a_model_that_the_file_lacks_is_a_config_error() -> None:

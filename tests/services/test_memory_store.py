@@ -3,64 +3,27 @@
 import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from mdb_protocol import keys, messages
-from mdb_protocol.bus import Inbox
+from mdb_protocol import codec, keys, messages
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.config import BrainConfig, brain_config
-from mdb_services.memory_store import MemoryStore, PairFile
+from mdb_services.memory_file import MemoryFile
+from mdb_services.memory_store import MemoryStore
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, pair
+from tests.services.store_rig import Rig, taken
 
 RELEVANCE = {"recency": 0.3, "distance": 1.0, "current_error": 1.0, "entry_error": 0.5}
 
 
-class Rig:
-    """A memory store between its writers and its readers."""
-
-    def __init__(self, path: Path, settings: BrainConfig) -> None:
-        self.path, self.settings = path, settings
-        self.fabric = Fabric()
-        self.outside = MemoryBus(self.fabric, BRAIN)
-        self.pairs = self.outside.publisher(keys.PAIR)
-        self.stored = self.outside.subscriber(keys.PAIR_STORED)
-        self.changes = self.outside.subscriber(keys.MEMORY_CHANGE)
-        self.now = 0.0
-        self.store = self._start()
-
-    def _start(self) -> MemoryStore:
-        bus = MemoryBus(self.fabric, BRAIN)
-        return MemoryStore(bus, self.settings, PairFile(self.path), clock=lambda: self.now)
-
-    def restart(self) -> None:
-        """As after a kill: what was in memory is gone."""
-        self.store.close()
-        self.store.bus.close()
-        self.store = self._start()
-
-    def give(self, *pairs: messages.Pair) -> None:
-        for one in pairs:
-            self.pairs.put(one)
-        self.store.step()
-
-    def show(self, current: messages.CurrentModel) -> None:
-        self.outside.publisher(keys.CURRENT_MODEL, model=current.model).put(current)
-        self.store.step()
-
-    def snapshots(self) -> dict[str, dict[str, Any]]:
-        return {
-            answer.model: {"version": answer.version, "pairs": answer.pairs.tolist(),
-                           "inputs": answer.inputs.tolist(), "targets": answer.targets.tolist()}
-            for answer in self.outside.query(keys.MEMORY_SNAPSHOT, 1.0)
-        }  # fmt: skip
-
-
-def taken(inbox: Inbox) -> list[Any]:
-    return list(iter(inbox.take, None))
+def inserted(change: messages.MemoryChange) -> tuple[str, int, int]:
+    """Model, pair and version of an insert; it writes one slot and frees none."""
+    (pair,), (_,) = change.pairs.tolist(), change.slots.tolist()
+    assert (change.freed.size, change.seeds) == (0, [])
+    return change.model, pair, change.version
 
 
 MakeRig = Callable[..., Rig]
@@ -99,13 +62,14 @@ def test_each_pair_changes_the_memory_of_every_model_it_has_the_variables_of(mak
     rig = make_rig()
     rig.give(pair(0), pair(1, feedback=None), pair(2, note=None, feedback=None), pair(3, after={}))
     changes = taken(rig.changes)
-    assert [(c.model, c.pair, c.version) for c in changes] == [
+    assert [inserted(c) for c in changes] == [
         ("communication", 0, 1), ("object", 0, 1), ("object", 1, 2), ("object", 2, 3), ("communication", 3, 2),
     ]  # fmt: skip
     assert [answer.versions for answer in taken(rig.stored)] == [
         {"communication": 1, "object": 1}, {"communication": 1, "object": 2}, {"communication": 1, "object": 3},
         {"communication": 2, "object": 3},
     ]  # fmt: skip
+    assert [(c.inputs.shape, c.targets.shape) for c in changes[:2]] == [((1, 4), (1, 1)), ((1, 2), (1, 1))]
     snapshots = rig.snapshots()
     assert snapshots["communication"]["pairs"] == [0, 3]
     assert snapshots["object"]["pairs"] == [0, 1, 2]
@@ -116,8 +80,11 @@ def test_a_full_memory_says_who_left_and_where_the_new_one_is(make_rig: MakeRig)
     rig = make_rig()
     rig.give(*(pair(i) for i in range(6)))
     changes = [c for c in taken(rig.changes) if c.model == "object"]
-    assert [(c.slot, c.evicted) for c in changes] == [(0, None), (1, None), (2, None), (3, None), (0, 0), (1, 1)]
+    assert [(c.slots.tolist(), c.evicted.tolist()) for c in changes] == [
+        ([0], []), ([1], []), ([2], []), ([3], []), ([0], [0]), ([1], [1]),
+    ]  # fmt: skip
     assert rig.snapshots()["object"]["pairs"] == [4, 5, 2, 3]
+    assert rig.snapshots()["object"]["slots"] == [0, 1, 2, 3]
 
 
 def test_a_pair_sent_again_gets_the_same_answer_and_is_not_stored_twice(make_rig: MakeRig) -> None:
@@ -165,8 +132,9 @@ def test_a_run_with_restarts_goes_on_like_one_without(tmp_path: Path, memory: di
                 rig.restart()
             rig.show(model("object", i + 1, last=0.1 * (i % 7)))
             rig.give(pair(i, before={"distance": (0.37 * i) % 2}, after={"distance": (0.53 * i) % 2}))
-        logs.append([(c.model, c.version, c.slot, c.pair, c.evicted) for c in taken(rig.changes)])
+        logs.append([codec.to_plain(change) for change in taken(rig.changes)])
         rig.store.close()
+    assert len(logs[0]) == 40
     assert logs[0] == logs[1]
 
 
@@ -183,7 +151,7 @@ def test_a_failing_write_leaves_memory_and_disk_as_they_were(make_rig: MakeRig) 
     assert (taken(rig.changes), taken(rig.stored)) == ([], [])
     rig.store._file._db.execute("PRAGMA query_only = 0")
     rig.give(pair(6))
-    assert [(c.model, c.pair, c.version) for c in taken(rig.changes)] == [("communication", 6, 7), ("object", 6, 7)]
+    assert [inserted(c) for c in taken(rig.changes)] == [("communication", 6, 7), ("object", 6, 7)]
     (answer,) = taken(rig.stored)
     assert answer.versions == {"communication": 7, "object": 7}
     after = rig.snapshots()
@@ -258,7 +226,7 @@ def test_a_file_that_cannot_be_used_is_a_clear_error(tmp_path: Path, damage: Cal
     path = tmp_path / "memory.sqlite"
     damage(path)
     with pytest.raises(MdbError, match=r"memory\.sqlite.*[Mm]ove it away"):
-        MemoryStore(MemoryBus(Fabric(), BRAIN), config(), PairFile(path))
+        MemoryStore(MemoryBus(Fabric(), BRAIN), config(), MemoryFile(path))
 
 
 def test_models_that_do_not_fit_are_refused_and_the_last_good_one_kept(make_rig: MakeRig) -> None:
@@ -279,7 +247,7 @@ def test_pairs_with_what_no_model_knows_are_stored_and_change_no_memory(make_rig
     rig = make_rig()
     rig.give(pair(0, **({"before": {}} | fields)), pair(1))
     assert [answer.iteration for answer in taken(rig.stored)] == [0, 1]
-    unknown = {c.model for c in taken(rig.changes) if c.pair == 0}
+    unknown = {c.model for c in taken(rig.changes) if c.pairs.tolist() == [0]}
     assert unknown == ({"communication"} if "before" in fields else set())
 
 

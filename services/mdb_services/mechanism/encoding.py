@@ -61,6 +61,14 @@ class Channel:
         """How many values there are to be one of; None for a scalar."""
         return {"scalar": None, "one_hot": self.size}.get(self.encoding, len(self.values))
 
+    def describe(self) -> str:
+        """Return in words how a value becomes numbers: equal words, equal numbers."""
+        if self.encoding == "one_hot":
+            return f"one_hot of {self.size}"
+        if self.encoding == "scalar":
+            return f"scalar {self.low:g} to {self.high:g}"
+        return f"{self.encoding} of {', '.join(f'{value:g}' for value in self.values)}"
+
     def has(self, values: NDArray[np.float64]) -> bool:
         """Whether all values (n,) can be encoded: an index that the channel lacks cannot."""
         if self.indices is None:

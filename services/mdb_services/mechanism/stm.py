@@ -9,6 +9,9 @@ and the pair with the lowest leaves when the memory is full: T recency, d distan
 nearest other pair (so that of pairs contradicting each other the older leaves), C the current model's error
 on the pair, R the error when it entered. Each term is scaled to [0, 1] over the stored pairs. Kt = 1 and the
 rest 0 is first in, first out. The newcomer itself is never the one that leaves.
+
+When the context has changed (`context.py`), the weights are those of the temporal setting until the new context
+is known, and what is older than the change can be dropped at once.
 """
 
 from collections.abc import Mapping
@@ -48,12 +51,16 @@ class MemoryConfig:
 
 @dataclass(frozen=True)
 class Change:
-    """What one insert did: the new version, the slot written, the pair's id, the id of the pair that left."""
+    """One step from a version to the next: which slots were written with which pairs, which were emptied."""
 
     version: int
-    slot: int
-    id: int
-    evicted_id: int | None
+    slots: tuple[int, ...]
+    """Slots written, in the order of `ids` and of the rows that come with the change."""
+    ids: tuple[int, ...]
+    evicted: tuple[int, ...]
+    """Ids of the pairs that left."""
+    freed: tuple[int, ...] = ()
+    """Slots that are empty from now on."""
 
 
 class MemoryMirror:
@@ -65,42 +72,56 @@ class MemoryMirror:
             raise ValueError(f"capacity, inputs, outputs are {given}; expected 1 or more each")
         self.capacity = capacity
         self.version = 0
-        self._size = 0
+        self._used = np.zeros(capacity, dtype=bool)
         self._inputs = np.zeros((capacity, inputs), dtype=np.float32)
         self._targets = np.zeros((capacity, outputs), dtype=np.float32)
         self._ids = np.zeros(capacity, dtype=np.int64)
 
     def __len__(self) -> int:
-        return self._size
+        return int(self._used.sum())
+
+    @property
+    def slots(self) -> Ids:
+        """Return the slots in use (n,), in order; all arrays of pairs are in this order."""
+        return np.flatnonzero(self._used)
 
     def arrays(self) -> tuple[Floats, Floats, Ids]:
         """Return copies of inputs (n, inputs), targets (n, outputs) and ids (n,), in slot order."""
-        n = self._size
-        return self._inputs[:n].copy(), self._targets[:n].copy(), self._ids[:n].copy()
+        return self._inputs[self._used], self._targets[self._used], self._ids[self._used]
 
-    def apply(self, change: Change, input_row: NDArray[Any], target_row: NDArray[Any]) -> None:
-        """Write one change. Raises VersionGapError when changes were missed, ValueError when it cannot be."""
+    def apply(self, change: Change, inputs: NDArray[Any], targets: NDArray[Any]) -> None:
+        """Take over one change with its rows, inputs (k, inputs) and targets (k, outputs).
+
+        Raises VersionGapError when changes were missed, ValueError when it cannot be; then nothing is changed.
+        """
         if change.version != self.version + 1:
             raise VersionGapError(
                 f"change to version {change.version} on a memory of version {self.version}; expected "
                 f"{self.version + 1}: ask for the whole memory"
             )
-        if not 0 <= change.slot <= min(self._size, self.capacity - 1):
+        touched = (*change.slots, *change.freed)
+        if len(set(touched)) < len(touched) or not all(0 <= slot < self.capacity for slot in touched):
             raise ValueError(
-                f"change writes slot {change.slot} of a memory of {self._size} pairs; expected "
-                "one in use or the next: the change is damaged, ask for the whole memory"
+                f"change touches slots {touched} of {self.capacity}; expected each once and within: "
+                "the change is damaged, ask for the whole memory"
             )
-        self._inputs[change.slot] = _row(input_row, self._inputs.shape[1], "input row")
-        self._targets[change.slot] = _row(target_row, self._targets.shape[1], "target row")
-        self._ids[change.slot] = change.id
-        self._size = max(self._size, change.slot + 1)
+        count = len(change.slots)
+        if len(change.ids) != count:
+            raise ValueError(f"change has ids {change.ids} for slots {change.slots}; expected as many of each")
+        input_rows = _rows(inputs, (count, self._inputs.shape[1]), "input rows")
+        target_rows = _rows(targets, (count, self._targets.shape[1]), "target rows")
+        written = np.array(change.slots, dtype=np.intp)
+        self._inputs[written], self._targets[written] = input_rows, target_rows
+        self._ids[written] = change.ids
+        self._used[written] = True
+        self._used[np.array(change.freed, dtype=np.intp)] = False
         self.version = change.version
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Return copies of the stored rows, their ids and the version."""
+        """Return copies of the stored rows, their slots and ids, and the version."""
         inputs, targets, ids = self.arrays()
         version = np.array(self.version, dtype=np.int64)
-        return {"inputs": inputs, "targets": targets, "ids": ids, "version": version}
+        return {"inputs": inputs, "targets": targets, "ids": ids, "slots": self.slots, "version": version}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Take over the state of a mirror or of a `ShortTermMemory`; raises ValueError when it does not fit."""
@@ -113,11 +134,17 @@ class MemoryMirror:
             given = state[name]
             if given.shape != shape or not np.isfinite(given).all():
                 raise ValueError(f"{name} have shape {given.shape}; expected finite numbers of shape {shape}")
-        if count > self.capacity:
-            raise ValueError(f"state holds {count} pairs, the memory {self.capacity}: make it with that capacity")
-        self._size, self.version = count, int(state["version"])
-        self._inputs[:count], self._targets[:count] = state["inputs"], state["targets"]
-        self._ids[:count] = state["ids"]
+        slots = state["slots"]
+        if not ((slots >= 0) & (slots < self.capacity)).all() or len(np.unique(slots)) < count:
+            raise ValueError(
+                f"state holds {count} pairs in slots up to {slots.max(initial=0)}, the memory has {self.capacity}: "
+                "make it with that capacity"
+            )
+        self.version = int(state["version"])
+        self._used[:] = False
+        self._used[slots] = True
+        self._inputs[slots], self._targets[slots] = state["inputs"], state["targets"]
+        self._ids[slots] = state["ids"]
 
 
 class ShortTermMemory(MemoryMirror):
@@ -147,65 +174,111 @@ class ShortTermMemory(MemoryMirror):
         errors_now (n,) are the current model's errors on the stored pairs in slot order; None counts as none.
         Raises ValueError when a row or an error is not finite or does not fit.
         """
-        if id in self._ids[: self._size]:
+        if id in self._ids[self._used]:
             return None
         if not np.isfinite(error_at_entry):
             raise ValueError(f"error at entry is {error_at_entry}; expected a finite number: predict the pair first")
-        row = _row(input_row, self._inputs.shape[1], "input row")
-        gaps = self._gaps(row)
-        full = self._size == self.capacity
-        slot = self._lowest(gaps, errors_now) if full else self._size
-        change = Change(self.version + 1, slot, id, int(self._ids[slot]) if full else None)
-        self.apply(change, row, target_row)
-        self._orders[slot], self._entry_errors[slot] = change.version, error_at_entry
-        self._distances[slot, : gaps.size], self._distances[: gaps.size, slot] = gaps, gaps
-        self._distances[slot, slot] = np.inf
+        row = _rows(np.asarray(input_row)[None], (1, self._inputs.shape[1]), "input row")
+        full = len(self) == self.capacity
+        slot = self._lowest(self._gaps(row[0]), errors_now) if full else int(np.argmin(self._used))
+        evicted = (int(self._ids[slot]),) if full else ()
+        change = Change(self.version + 1, (slot,), (id,), evicted)
+        self._write(change, row, np.asarray(target_row)[None], error_at_entry)
         return change
+
+    def since(self, version: int) -> tuple[Floats, Floats, NDArray[np.float64]]:
+        """Return inputs (n, inputs), targets (n, outputs) and errors at entry (n,) of what entered since `version`.
+
+        That version's pair included, the oldest first.
+        """
+        slots = np.flatnonzero(self._used & (self._orders >= version))
+        slots = slots[np.argsort(self._orders[slots], kind="stable")]
+        return self._inputs[slots], self._targets[slots], self._entry_errors[slots]
+
+    def begin_context(
+        self, first: int, ids: tuple[int, ...] = (), inputs: NDArray[Any] | None = None, targets: Any = None
+    ) -> Change:
+        """Drop the pairs that entered before version `first` and store recalled ones; return what changed.
+
+        ids (k,), inputs (k, inputs) and targets (k, outputs) are pairs of the context that came back, from the
+        long-term memory; of more than there is room for the last are left out.
+        """
+        stays = self._used & (self._orders >= first)
+        free = np.flatnonzero(~stays)
+        ids = ids[: len(free)]
+        slots = tuple(int(slot) for slot in free[: len(ids)])
+        leaving = self._used & ~stays
+        freed = tuple(int(slot) for slot in np.flatnonzero(leaving) if slot not in slots)
+        evicted = tuple(int(id) for id in self._ids[leaving])
+        change = Change(self.version + 1, slots, ids, evicted, freed)
+        rows = self._inputs[:0], self._targets[:0]
+        if inputs is not None:
+            rows = inputs[: len(ids)], targets[: len(ids)]
+        self._write(change, rows[0], rows[1], 0.0)
+        return change
+
+    def _write(self, change: Change, inputs: NDArray[Any], targets: NDArray[Any], entry_error: float) -> None:
+        self.apply(change, inputs, targets)
+        self._distances[list(change.freed), :] = self._distances[:, list(change.freed)] = np.inf
+        for slot in change.slots:
+            self._orders[slot], self._entry_errors[slot] = change.version, entry_error
+            self._measure(slot)
+
+    def _measure(self, slot: int) -> None:
+        """Write the distances of a slot's pair to all others."""
+        gaps = np.where(self._used, self._gaps_to_all(self._inputs[slot]), np.float32(np.inf))
+        gaps[slot] = np.inf
+        self._distances[slot], self._distances[:, slot] = gaps, gaps
 
     def labels(self, errors_now: NDArray[Any] | None = None) -> NDArray[np.float64]:
         """Return the label of each stored pair, in slot order."""
-        return self._labels(np.full(self._size, np.inf, dtype=np.float32), errors_now)
+        return self._labels(np.full(len(self), np.inf, dtype=np.float32), errors_now)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all arrays from which `restore` continues identically."""
-        n = self._size
-        own = {"orders": self._orders[:n].copy(), "entry_errors": self._entry_errors[:n].copy()}
+        own = {"orders": self._orders[self._used], "entry_errors": self._entry_errors[self._used]}
         return super().state() | own
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continue from what `state` gave; raises ValueError when it does not fit."""
         super().restore(state)
-        n = self._size
-        self._orders[:n], self._entry_errors[:n] = state["orders"], state["entry_errors"]
-        for slot in range(n):
-            self._distances[slot, :n] = self._gaps(self._inputs[slot])
-            self._distances[slot, slot] = np.inf
+        slots = state["slots"]
+        self._orders[slots], self._entry_errors[slots] = state["orders"], state["entry_errors"]
+        self._distances[:] = np.inf
+        for slot in slots:
+            self._measure(int(slot))
 
-    def _gaps(self, row: Floats) -> Floats:
-        """Return the squared distances (n,) of a row to all stored ones, in input space."""
-        difference = self._inputs[: self._size] - row
+    def _gaps_to_all(self, row: Floats) -> Floats:
+        """Return the squared distances (capacity,) of a row to what is in each slot, in input space."""
+        difference = self._inputs - row
         squared: Floats = np.einsum("ij,ij->i", difference, difference)
         return squared
+
+    def _gaps(self, row: Floats) -> Floats:
+        """Return the squared distances (n,) of a row to all stored ones."""
+        return self._gaps_to_all(row)[self._used]
 
     def _lowest(self, gaps: Floats, errors_now: NDArray[Any] | None) -> int:
         labels = self._labels(gaps, errors_now)
         lowest = np.flatnonzero(labels == labels.min())
-        return int(lowest[np.argmin(self._orders[lowest])])  # of equals the oldest
+        slots = self.slots[lowest]
+        return int(slots[np.argmin(self._orders[slots])])  # of equals the oldest
 
     def _labels(self, gaps: Floats, errors_now: NDArray[Any] | None) -> NDArray[np.float64]:
         """Return the labels, distances including those to a newcomer."""
-        n, config = self._size, self.config
-        labels = np.zeros(n)
+        config = self.config
+        labels = np.zeros(len(self))
         if config.recency:
-            orders = self._orders[:n]
+            orders = self._orders[self._used]
             labels += config.recency * _scaled((orders - orders.min(initial=self.version)).astype(np.float64))
         if config.distance:
-            nearest = np.minimum(self._distances[:n, :n].min(axis=1, initial=np.inf), gaps)
+            nearest = np.minimum(self._distances.min(axis=1)[self._used], gaps)
             labels += config.distance * _scaled(np.sqrt(nearest.astype(np.float64)))
         if config.current_error and errors_now is not None:
-            labels += config.current_error * _scaled(_row(errors_now, n, "errors now").astype(np.float64))
+            errors = _rows(errors_now, (len(self),), "errors now")
+            labels += config.current_error * _scaled(errors.astype(np.float64))
         if config.entry_error:
-            labels += config.entry_error * _scaled(self._entry_errors[:n])
+            labels += config.entry_error * _scaled(self._entry_errors[self._used])
         return labels
 
 
@@ -215,8 +288,8 @@ def _scaled(term: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.minimum(term / largest, 1.0) if largest > 0 else np.where(term > 0, 1.0, 0.0)
 
 
-def _row(values: NDArray[Any], length: int, what: str) -> Floats:
-    row = np.asarray(values, dtype=np.float32)
-    if row.shape != (length,) or not np.isfinite(row).all():
-        raise ValueError(f"{what} has shape {row.shape}; expected {length} finite numbers")
-    return row
+def _rows(values: NDArray[Any], shape: tuple[int, ...], what: str) -> Floats:
+    rows = np.asarray(values, dtype=np.float32)
+    if rows.shape != shape or not np.isfinite(rows).all():
+        raise ValueError(f"{what} have shape {rows.shape}; expected finite numbers of shape {shape}")
+    return rows

@@ -1,0 +1,34 @@
+"""The learners: one contract (``contract.py``), one small file each, chosen by name in the experiment file."""
+
+from typing import Any
+
+from mdb_services.mechanism.learners.adam import Adam
+from mdb_services.mechanism.learners.cma import CovarianceAdaptation
+from mdb_services.mechanism.learners.contract import Best, Learner
+from mdb_services.mechanism.learners.de import DifferentialEvolution
+from mdb_services.mechanism.learners.ga import PlainGA
+from mdb_services.mechanism.learners.pbga import PromoterGA
+from mdb_services.mechanism.learners.ridge import Ridge
+from mdb_services.mechanism.network import Shape
+from mdb_services.mechanism.settings import LearnerConfig
+
+__all__ = ["LEARNERS", "Best", "Learner", "make_learner"]
+
+LEARNERS: dict[str, Any] = {
+    "pbga": PromoterGA,
+    "ga": PlainGA,
+    "de": DifferentialEvolution,
+    "cma": CovarianceAdaptation,
+    "adam": Adam,
+    "ridge": Ridge,
+}
+"""Each learner's class by its name; `settings.LEARNER_CONFIGS` has its settings."""
+
+
+def make_learner(name: str, shape: Shape, settings: LearnerConfig, seed: int, stream_name: str) -> Learner:
+    """Return a learner of networks of a shape, its random numbers from the stream (seed, stream_name).
+
+    Raises KeyError when there is none of that name, ModuleNotFoundError when it needs a package that is missing.
+    """
+    learner: Learner = LEARNERS[name](shape, settings, seed, stream_name)
+    return learner

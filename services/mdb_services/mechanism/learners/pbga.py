@@ -1,0 +1,85 @@
+"""The promoter-based genetic algorithm: a population of networks that learns what a short-term memory holds.
+
+Owns one population, kept between calls (paper, section 2.3). The operators are in ``operators.py``, the errors
+in ``kernel.py``.
+"""
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdb_services.mechanism import streams
+from mdb_services.mechanism.kernel import in_blocks
+from mdb_services.mechanism.learners.contract import Arrays, Learner
+from mdb_services.mechanism.learners.genomes import embed
+from mdb_services.mechanism.network import Floats, Network, Shape, split_layers
+from mdb_services.mechanism.operators import Settings, evolve
+from mdb_services.mechanism.settings import EvolutionConfig
+
+
+class PromoterGA(Learner):
+    """A population of networks of one shape, evolved a few generations for each version of a memory."""
+
+    arrays: ClassVar = ("weights", "promoters", "steps", "errors", "fitness")
+    unmeasured: ClassVar = ("errors", "fitness")
+
+    def __init__(self, shape: Shape, config: EvolutionConfig, seed: int, name: str) -> None:
+        """Draw the first population from the stream of (seed, name)."""
+        super().__init__(shape, config.generations, seed, name)
+        self.config = config
+        self._sizes = np.array(shape.sizes, dtype=np.int64)
+        count = config.population
+        random = streams.generator(seed, f"{name}/first population", 0)
+        limit = config.weight_first
+        self._weights = random.uniform(-limit, limit, (count, shape.weights)).astype(np.float32)
+        self._promoters = (random.random((count, shape.units)) < config.expressed_first).astype(np.uint8)
+        self._steps = np.full(count, config.step_first, dtype=np.float32)
+        self._errors, self._fitness = np.full(count, np.inf), np.full(count, np.inf)
+        self._settings = Settings(**{name: getattr(config, name) for name in Settings._fields})
+
+    def network(self, individual: int) -> Network:
+        """Return the network that an individual expresses."""
+        promoters = self._promoters[individual].astype(bool)
+        ends = np.cumsum(self.shape.hidden)[:-1]
+        outputs = np.ones(self.shape.outputs, dtype=bool)
+        receivers = [*np.split(promoters, ends), outputs]
+        senders = [np.ones(self.shape.inputs, dtype=bool), *receivers[:-1]]
+        matrices = split_layers(self.shape.sizes, self._weights[individual])
+        return Network(
+            [
+                matrix[expressed][:, np.append(sending, True)]
+                for matrix, expressed, sending in zip(matrices, receivers, senders, strict=True)
+            ]
+        )
+
+    def _learn(self, inputs: Floats, targets: Floats, key: int, generations: range) -> None:
+        data = (in_blocks(inputs), in_blocks(targets), len(inputs))
+        span = (generations.start, generations.stop)
+        population = (self._weights, self._promoters, self._steps)
+        evolve(population, self._errors, self._fitness, self._sizes, data, np.uint64(key), span, self._settings)
+
+    def _best(self) -> Network:
+        return self.network(int(np.argmin(self._fitness)))
+
+    def _seed(self, networks: Sequence[Network]) -> None:
+        """Put networks into the population in the place of its worst; the units left over are not expressed."""
+        if len(networks) > self.config.population:
+            raise ValueError(f"{len(networks)} networks for a population of {self.config.population}: seed fewer")
+        worst = np.argsort(-self._fitness, kind="stable")
+        for network, place in zip(networks, worst, strict=False):
+            embed(network, self.shape, self._weights[place])
+            self._promoters[place] = self._expressed(network)
+            self._steps[place] = self.config.step_first
+            self._errors[place] = self._fitness[place] = -np.inf  # until it is measured, the best
+
+    def _expressed(self, network: Network) -> NDArray[np.bool_]:
+        """Return the promoters (units,) of a network that was written to the first units of each layer."""
+        used = zip(network.sizes[1:-1], self.shape.hidden, strict=True)
+        return np.concatenate([np.arange(room) < units for units, room in used])
+
+    def _check_state(self, state: Arrays) -> None:
+        super()._check_state(state)
+        if state["promoters"].max(initial=0) > 1:
+            raise ValueError("promoters hold something else than 0 and 1: the state is damaged, start afresh")

@@ -1,0 +1,228 @@
+"""The memory store's file: pairs, what each did to the memories, the last models, the long-term memory.
+
+Owns `memory.sqlite` of a run (SQLite, write-ahead log). Decides nothing: `model_memory` does.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from mdb_protocol import codec, messages
+from mdb_protocol.errors import DecodeError, MdbError
+
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS pair (iteration INTEGER PRIMARY KEY, payload BLOB NOT NULL, stored BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS recalled (id INTEGER PRIMARY KEY, payload BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS change (
+    model TEXT, version INTEGER, slot INTEGER, pair INTEGER, entry_error REAL, PRIMARY KEY (model, version, slot)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS context (
+    model TEXT, version INTEGER, first INTEGER NOT NULL, known INTEGER NOT NULL, PRIMARY KEY (model, version)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS seed (
+    model TEXT, place INTEGER, payload BLOB NOT NULL, PRIMARY KEY (model, place)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS model (name TEXT PRIMARY KEY, payload BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS long_term (
+    model TEXT, id INTEGER, payload BLOB NOT NULL, PRIMARY KEY (model, id)
+) WITHOUT ROWID;
+"""
+
+
+class Entry(NamedTuple):
+    """A slot of a short-term memory on disk: which pair is in it, since which version, the error on it then."""
+
+    slot: int
+    id: int
+    pair: messages.Pair
+    version: int
+    error: float
+
+
+class Context(NamedTuple):
+    """A context began at `version`, its first pair at `first`; `known`: with a model that fitted."""
+
+    version: int
+    first: int
+    known: bool
+
+
+@dataclass
+class Effects:
+    """What one pair did to one model's memories: everything that has to be on disk with it."""
+
+    changes: list[messages.MemoryChange] = field(default_factory=list)
+    entry_error: float | None = None
+    """The current model's error on the pair; None when there was no model."""
+    recalled: dict[int, messages.Pair] = field(default_factory=dict)
+    context: Context | None = None
+    long_term: list[messages.LongTermModel] = field(default_factory=list)
+    """Models to be stored, or stored anew."""
+    forgotten: list[int] = field(default_factory=list)
+    events: list[messages.ContextEvent] = field(default_factory=list)
+
+
+class MemoryFile:
+    """See the module's docstring."""
+
+    def __init__(self, path: Path) -> None:
+        """Open or create; MdbError when the file is not a usable database."""
+        self._path = path
+        try:
+            self._db = sqlite3.connect(path, isolation_level=None)
+            self._db.execute("PRAGMA journal_mode=WAL")
+            self._db.execute("PRAGMA synchronous=NORMAL")
+            self._db.executescript(SCHEMA)
+        except sqlite3.Error as error:
+            raise self.unusable(error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def unusable(self, error: Exception) -> MdbError:
+        """Return the error that says what is wrong with the file and what to do."""
+        return MdbError(
+            f"{self._path} cannot be used as the memory's database: {error}. Move it away to start with an empty "
+            "memory, or give another run folder"
+        )
+
+    def add(self, pair: messages.Pair, stored: messages.PairStored, effects: Iterable[Effects]) -> None:
+        """Write a pair with its acknowledgement and all that it did, in one transaction."""
+        with self._transaction():
+            row = (pair.iteration, codec.encode(pair), codec.encode(stored))
+            self._db.execute("INSERT INTO pair VALUES (?, ?, ?)", row)
+            for effect in effects:
+                self._write(effect)
+
+    def begin(self, effects: Effects) -> None:
+        """Write what a memory begins with, before any pair."""
+        with self._transaction():
+            self._write(effects)
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        self._db.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            self._db.execute("COMMIT")
+        except BaseException:
+            if self._db.in_transaction:  # a full disk has ended it already
+                self._db.execute("ROLLBACK")
+            raise
+
+    def _write(self, effect: Effects) -> None:
+        recalled = [(id, codec.encode(pair)) for id, pair in effect.recalled.items()]
+        self._db.executemany("INSERT INTO recalled VALUES (?, ?)", recalled)
+        for change in effect.changes:
+            written = zip(change.slots.tolist(), change.pairs.tolist(), strict=True)
+            rows = [*written, *((slot, None) for slot in change.freed.tolist())]
+            error = effect.entry_error if change is effect.changes[0] else None
+            self._db.executemany(
+                "INSERT INTO change VALUES (?, ?, ?, ?, ?)",
+                [(change.model, change.version, slot, pair, error) for slot, pair in rows],
+            )
+            if effect.context is not None and change.version == effect.context.version:
+                self._db.execute("INSERT INTO context VALUES (?, ?, ?, ?)", (change.model, *effect.context))
+                seeds = [(change.model, place, codec.encode(seed)) for place, seed in enumerate(change.seeds)]
+                self._db.execute("DELETE FROM seed WHERE model = ?", (change.model,))
+                self._db.executemany("INSERT INTO seed VALUES (?, ?, ?)", seeds)
+        self.keep_long_term(effect.long_term)
+        for id in effect.forgotten:
+            self._db.execute("DELETE FROM long_term WHERE model = ? AND id = ?", (effect.changes[0].model, id))
+
+    def stored(self, iteration: int) -> messages.PairStored | None:
+        """Return the acknowledgement of a pair that is on disk, or None."""
+        row = self._db.execute("SELECT stored FROM pair WHERE iteration = ?", (iteration,)).fetchone()
+        encoding = codec.encoding_of(messages.PairStored)
+        return codec.decode(messages.PairStored, row[0], encoding) if row else None
+
+    def count(self) -> int:
+        """Return how many pairs are on disk."""
+        return int(self._db.execute("SELECT count(*) FROM pair").fetchone()[0])
+
+    def lowest_recalled(self) -> int:
+        """Return the lowest id of a recalled pair; 0 when there is none. They count down from -1."""
+        return int(self._db.execute("SELECT coalesce(min(id), 0) FROM recalled").fetchone()[0])
+
+    def version(self, model: str) -> int:
+        """Return the version of a model's short-term memory."""
+        row = self._db.execute(
+            "SELECT max(coalesce((SELECT max(version) FROM change WHERE model = ?1), 0), "
+            "coalesce((SELECT max(version) FROM context WHERE model = ?1), 0))",
+            (model,),
+        ).fetchone()
+        return int(row[0])
+
+    def entries(self, model: str) -> list[Entry]:
+        """Return what a model's memory holds: the newest pair of each slot, by slot."""
+        rows = self._db.execute(
+            "SELECT slot, newest.pair, coalesce(pair.payload, recalled.payload), version, entry_error FROM "
+            "(SELECT slot, pair, max(version) AS version, entry_error FROM change WHERE model = ? GROUP BY slot) "
+            "AS newest LEFT JOIN pair ON newest.pair = iteration LEFT JOIN recalled ON newest.pair = id "
+            "WHERE newest.pair IS NOT NULL ORDER BY slot",
+            (model,),
+        )
+        encoding = codec.encoding_of(messages.Pair)
+        found = []
+        for slot, id, payload, version, error in rows:
+            if payload is None:
+                raise DecodeError(f"pair {id} in the memory of {model} is missing")
+            found.append(Entry(slot, id, codec.decode(messages.Pair, payload, encoding), version, error or 0.0))
+        return found
+
+    def context(self, model: str) -> Context | None:
+        """Return the last beginning of a context, or None when it is still the first."""
+        row = self._db.execute(
+            "SELECT version, first, known FROM context WHERE model = ? ORDER BY version DESC LIMIT 1", (model,)
+        ).fetchone()
+        return Context(row[0], row[1], bool(row[2])) if row else None
+
+    def seeds(self, model: str) -> list[messages.ModelWeights]:
+        """Return the networks that were recalled when the present context began, the best first."""
+        rows = self._db.execute("SELECT payload FROM seed WHERE model = ? ORDER BY place", (model,))
+        encoding = codec.encoding_of(messages.ModelWeights)
+        return [codec.decode(messages.ModelWeights, payload, encoding) for (payload,) in rows]
+
+    def errors(self, model: str, after: int) -> list[tuple[int, float]]:
+        """Return (version, error on the pair before it was learnt) of the inserts after a version, in order."""
+        rows = self._db.execute(
+            "SELECT version, entry_error FROM change WHERE model = ? AND version > ? AND entry_error IS NOT NULL "
+            "ORDER BY version",
+            (model, after),
+        )
+        return [(int(version), float(error)) for version, error in rows]
+
+    def keep_model(self, model: messages.CurrentModel) -> None:
+        """Keep the last current model of a name."""
+        self._db.execute("INSERT OR REPLACE INTO model VALUES (?, ?)", (model.model, codec.encode(model)))
+
+    def models(self) -> dict[str, messages.CurrentModel]:
+        """Return the kept models by name."""
+        encoding = codec.encoding_of(messages.CurrentModel)
+        rows = self._db.execute("SELECT name, payload FROM model")
+        return {name: codec.decode(messages.CurrentModel, payload, encoding) for name, payload in rows}
+
+    def keep_long_term(self, models: Iterable[messages.LongTermModel]) -> None:
+        """Store models in the long-term memory, in the place of those with the same model's name and id."""
+        rows = [(model.model, model.id, codec.encode(model)) for model in models]
+        self._db.executemany("INSERT OR REPLACE INTO long_term VALUES (?, ?, ?)", rows)
+
+    def long_term(self, model: str | None = None) -> list[messages.LongTermModel]:
+        """Return the long-term memory, of one model or of all, by model and id."""
+        encoding = codec.encoding_of(messages.LongTermModel)
+        rows = self._db.execute("SELECT model, payload FROM long_term ORDER BY model, id").fetchall()
+        return [
+            codec.decode(messages.LongTermModel, payload, encoding) for name, payload in rows if model in (None, name)
+        ]
+
+    def close(self) -> None:
+        """Close the file."""
+        self._db.close()
