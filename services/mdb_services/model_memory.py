@@ -152,12 +152,14 @@ class ModelMemory:
 
     def _is_back(self) -> bool:
         """Whether what looks like a change is a context that a stored model knows; then the change is told."""
-        suspected = self._detector.suspected
-        if suspected is None:
+        suspected, config = self._detector.suspected, self._ltm.config
+        if suspected is None or not self._detector.settled:
             return False
         inputs, targets, errors = self.stm.since(suspected)
+        if (errors > config.missed_error).sum() < config.fit_pairs:
+            return False
         trials = self._ltm.trials(inputs, targets, before=suspected)
-        if not trials or not trials[0].fits or errors.mean() < trials[0].error + self._ltm.config.better:
+        if not trials or not trials[0].fits:
             return False
         self._detector.begin(suspected)
         return True
@@ -289,7 +291,7 @@ class ModelMemory:
             return None
         effects = Effects()
         effects.recalled = {next(recalled_ids): pair for pair in self._details[stored.id].pairs}
-        self._start_context(effects, 0, stored, [stored.network])
+        self._start_context(effects, 1, stored, [stored.network])
         return effects
 
     def values(self) -> dict[str, float]:

@@ -91,6 +91,20 @@ def test_a_change_is_suspected_from_the_first_bad_pair_until_it_is_told_or_past(
     assert (detector.first, detector.known) == (37, False)
 
 
+def test_a_context_is_settled_once_it_has_lasted_also_one_that_came_back() -> None:
+    detector, _ = fed([1.0] * 19)
+    assert not detector.settled
+    detector.step(1.0, 20)
+    assert detector.settled
+    for known in (False, True):
+        detector.begin(21, known=known)
+        settled = []
+        for version in range(21, 42):
+            settled.append(detector.settled)
+            detector.step(0.0, version)
+        assert settled == [False] * 20 + [True]
+
+
 @fixed
 @given(st.lists(st.floats(0, 4), max_size=60))
 def test_nothing_is_suspected_before_the_context_is_known(errors: list[float]) -> None:
@@ -126,7 +140,7 @@ def test_a_context_that_came_back_is_known_at_once() -> None:
     detector.begin(detector.first, known=True)
     assert (detector.known, detector.changing, detector.first) == (True, False, 31)
     assert [detector.step(1.0, version) for version in (33, 34)] == [False, True]
-    assert detector.first == 33
+    assert detector.first == 31, "it did not come back after all: the new context began where that one did"
 
 
 def test_a_detector_that_is_not_enabled_does_nothing() -> None:

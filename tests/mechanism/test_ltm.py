@@ -231,7 +231,7 @@ def test_a_sample_covers_what_is_rare() -> None:
         ({"good_error": 0.0}, "good_error is 0.0; expected a positive number"),
         ({"same_error": -0.1}, "same_error is -0.1"),
         ({"fit_error": float("inf")}, "fit_error is inf"),
-        ({"better": 0.0}, "better is 0.0"),
+        ({"missed_error": 0.0}, "missed_error is 0.0"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(fields: dict[str, float], said: str) -> None:

@@ -322,6 +322,21 @@ def test_a_write_that_fails_half_way_is_undone(tmp_path: Path, straight: Told) -
     assert lesson.told == straight
 
 
+@pytest.mark.parametrize("damage", [
+    "UPDATE recalled SET payload = x'c1'", "UPDATE seed SET payload = x'c1'", "UPDATE long_term SET payload = x'c1'",
+    "DELETE FROM recalled", "UPDATE change SET slot = 1000 WHERE pair = -1", "DROP TABLE context",
+])  # fmt: skip
+def test_a_damaged_memory_is_a_clear_error(lesson: Lesson, damage: str) -> None:
+    lesson.live(0, 42)
+    lesson.rig.store.close()
+    with sqlite3.connect(lesson.rig.path) as database:
+        database.execute(damage)
+        if "DROP" in damage:
+            database.execute("CREATE TABLE context (a, b)")
+    with pytest.raises(MdbError, match=r"memory\.sqlite cannot be used.*Move it away"):
+        lesson.rig.restart()
+
+
 # ---- what makes the difference ----
 
 
@@ -339,25 +354,45 @@ def test_a_model_recalled_by_chance_is_left_after_a_few_pairs(lesson: Lesson) ->
     assert lesson.events()[8:] == [(41, "changed", None), (41, "recalled", 1)]
     lesson.hear(*heard(42, (1, 1), (1, 1), language="C"))  # as in B
     assert lesson.events()[10:][0] == (43, "changed", None)
+    kept = lesson.told.snapshots[-1]["pairs"]
+    assert sorted(pair for pair in kept if pair >= 0) == [40, 41, 42, 43], "all that was heard in the new language"
 
 
-AGREES = [(1, 1), (1, 0)]
-"""Of these, A says the contrary of C first, then the same: by itself not yet a change."""
+HESITANT = {"threshold": 3.0, "known_pairs": 4}
+"""Two missed pairs are not yet a change."""
+MISSED = [(1, 1), (1, 0), (1, 1)]
+"""Of these, A says the contrary of C in the first and the last."""
 
 
-def test_a_context_that_is_known_needs_less_evidence_than_a_new_one(lesson: Lesson) -> None:
+def after_c(path: Path, **sections: Plain) -> Lesson:
+    """A lesson in A, then in C, by one who hesitates to call anything a change."""
+    memory = {"stable_pairs": 6, "sample": 4} | sections.get("long_term", {})
+    lesson = Lesson(path, config(context=HESITANT | sections.get("context", {}), long_term=memory))
     lesson.live(0, 40, "A" * 20 + "C" * 20)
-    lesson.hear(*heard(40, *AGREES, language="A"))
-    assert lesson.events()[-2:] == [(41, "changed", None), (41, "recalled", 1)]
-    assert sorted(lesson.told.snapshots[-1]["pairs"]) == [-4, -3, -2, -1, 40, 41]
+    return lesson
 
 
-@pytest.mark.parametrize("long_term", [{"better": 2.1}, {"fit_pairs": 3}, {"capacity": 0}], ids=str)
-def test_without_a_model_that_does_clearly_better_a_suspicion_is_no_change(tmp_path: Path, long_term: Plain) -> None:
-    lesson = Lesson(tmp_path / "memory.sqlite", config(long_term={"stable_pairs": 6, "sample": 4} | long_term))
-    lesson.live(0, 40, "A" * 20 + "C" * 20)
+def test_a_context_that_is_known_needs_less_evidence_than_a_new_one(tmp_path: Path) -> None:
+    lesson = after_c(tmp_path / "memory.sqlite")
+    lesson.hear(*heard(40, *MISSED, language="A"))
+    assert lesson.events()[-2:] == [(42, "changed", None), (42, "recalled", 1)]
+    assert sorted(lesson.told.snapshots[-1]["pairs"]) == [-4, -3, -2, -1, 40, 41, 42]
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"long_term": {"missed_error": 4.5}},
+        {"long_term": {"fit_pairs": 3}},
+        {"long_term": {"capacity": 0}},
+        {"context": {"known_pairs": 30}},
+    ],
+    ids=str,
+)
+def test_what_is_not_surely_a_return_is_no_change(tmp_path: Path, sections: dict[str, Plain]) -> None:
+    lesson = after_c(tmp_path / "memory.sqlite", **sections)
     events = lesson.events()
-    lesson.hear(*heard(40, *AGREES, language="A"))
+    lesson.hear(*heard(40, *MISSED, language="A"))
     assert lesson.events() == events
 
 

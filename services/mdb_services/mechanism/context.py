@@ -69,9 +69,15 @@ class ContextDetector:
         self.usual = 0.0
         """Running mean of the errors, each cut off."""
         self._pairs = self.config.known_pairs if known else 0
+        self._lasted = 0
         self._evidence = 0.0
         self.suspected: int | None = None
         """The version of the first pair of what may be another context; None while nothing speaks for a change."""
+
+    @property
+    def settled(self) -> bool:
+        """Whether the context has lasted for `known_pairs`: one that has just begun is not left on a suspicion."""
+        return self._lasted >= self.config.known_pairs
 
     def step(self, error: float, version: int) -> bool:
         """Take the error on the pair that entered at `version`; return whether the context has changed.
@@ -89,9 +95,10 @@ class ContextDetector:
                 self.suspected = version
             self._evidence = evidence
             if self.suspected is not None and evidence > config.threshold:
-                self.begin(self.suspected)
+                # what was recalled a moment ago does not fit after all: the context began where that one did
+                self.begin(self.suspected if self.settled else self.first)
                 return True
-        self._pairs += 1
+        self._pairs, self._lasted = self._pairs + 1, self._lasted + 1
         self.usual += (error - self.usual) / min(self._pairs, config.known_pairs)
         if self._pairs >= config.known_pairs and self.usual < config.known_error:
             self.known, self.changing = True, False

@@ -35,9 +35,9 @@ class LongTermConfig:
     """A stored model fits when its error on the newest pairs is below this: it then acts at once."""
     fit_pairs: int = 2
     """Pairs of a new context, at least, on which a stored model is tried."""
-    better: float = 0.2
-    """While a change is only suspected, a stored model acts if it fits and its error is smaller by this than what
-    the current model foresaw. A context that is known needs less evidence than a new one."""
+    missed_error: float = 0.2
+    """A pair with a larger error is missed. After `fit_pairs` missed ones a stored model that fits acts, before the
+    change is certain: a context that is known needs less evidence than a new one."""
     newest: int = 10
     """Pairs of a new context, at most, on which a stored model is tried."""
     seeds: int = 3
@@ -51,7 +51,7 @@ class LongTermConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected 1 or more")
         if self.newest < self.fit_pairs:
             raise ValueError(f"newest is {self.newest}; expected fit_pairs = {self.fit_pairs} or more")
-        for name in ("good_error", "same_error", "fit_error", "better"):
+        for name in ("good_error", "same_error", "fit_error", "missed_error"):
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a positive number")
 

@@ -189,21 +189,21 @@ class ShortTermMemory(MemoryMirror):
     def since(self, version: int) -> tuple[Floats, Floats, NDArray[np.float64]]:
         """Return inputs (n, inputs), targets (n, outputs) and errors at entry (n,) of what entered since `version`.
 
-        That version's pair included, the oldest first.
+        That version's pair included, recalled pairs (negative ids) not, the oldest first.
         """
-        slots = np.flatnonzero(self._used & (self._orders >= version))
+        slots = np.flatnonzero(self._used & (self._orders >= version) & (self._ids >= 0))
         slots = slots[np.argsort(self._orders[slots], kind="stable")]
         return self._inputs[slots], self._targets[slots], self._entry_errors[slots]
 
     def begin_context(
         self, first: int, ids: tuple[int, ...] = (), inputs: NDArray[Any] | None = None, targets: Any = None
     ) -> Change:
-        """Drop the pairs that entered before version `first` and store recalled ones; return what changed.
+        """Drop what entered before version `first`, and what was recalled; store recalled pairs; return what changed.
 
         ids (k,), inputs (k, inputs) and targets (k, outputs) are pairs of the context that came back, from the
-        long-term memory; of more than there is room for the last are left out.
+        long-term memory; of more than there is room for the last are left out. With `first` 0 nothing is dropped.
         """
-        stays = self._used & (self._orders >= first)
+        stays = self._used & (self._orders >= first) & (self._ids >= 0) if first else self._used
         free = np.flatnonzero(~stays)
         ids = ids[: len(free)]
         slots = tuple(int(slot) for slot in free[: len(ids)])
