@@ -148,6 +148,9 @@ class Evolver:
     def _learn(self) -> None:
         started = time.perf_counter()
         inputs, targets, _ = self._mirror.arrays()
+        if not len(inputs):  # nothing to learn from, and no error to publish
+            self._learnt_version = self._mirror.version
+            return
         best = self._learner.learn(inputs, targets, version=self._mirror.version)
         self._generations += self._learner.generations
         self._learnt_version, self._error = self._mirror.version, best.error

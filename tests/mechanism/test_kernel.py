@@ -1,24 +1,30 @@
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core.errors import TypingError
 
 from mdb_services.mechanism.kernel import (
     BLOCK,
+    LANES,
     TANH_ERROR,
     compiled,
     in_blocks,
     population_errors,
     reference_errors,
     tanh32,
+    tanh_pair,
 )
 from mdb_services.mechanism.network import Shape
 
 shapes = st.builds(
     Shape, st.integers(1, 9), st.lists(st.integers(1, 9), min_size=1, max_size=3).map(tuple), st.integers(1, 4)
 )
+around_blocks = [LANES - 1, LANES, LANES + 1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK, 3 * BLOCK + LANES + 1]
+pair_counts = st.one_of(st.integers(1, 200), st.sampled_from(around_blocks))
 
 
 def measured(weights, promoters, shape, inputs, targets):
@@ -37,13 +43,29 @@ def case(shape, pairs, seed, population=7):
     return weights, promoters, inputs, targets
 
 
-@settings(max_examples=80, deadline=None)
-@given(shapes, st.integers(1, 3 * BLOCK + 1), st.integers(0, 10**6))
+@settings(max_examples=150, deadline=None)
+@given(shapes, pair_counts, st.integers(0, 10**6))
 def test_agrees_with_the_reference(shape: Shape, pairs: int, seed: int) -> None:
     weights, promoters, inputs, targets = case(shape, pairs, seed)
     errors, _ = measured(weights, promoters, shape, inputs, targets)
     expected = reference_errors(weights, promoters, shape.sizes, inputs, targets)
     np.testing.assert_allclose(errors, expected, rtol=2e-5, atol=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(shapes, pair_counts, st.integers(0, 10**6), st.data())
+def test_agrees_with_the_reference_when_whole_layers_are_silent_or_expressed(
+    shape: Shape, pairs: int, seed: int, data: st.DataObject
+) -> None:
+    weights, promoters, inputs, targets = case(shape, pairs, seed)
+    layer = data.draw(st.integers(0, len(shape.hidden) - 1))
+    start = sum(shape.hidden[:layer])
+    promoters[:3, start : start + shape.hidden[layer]] = 0
+    promoters[3], promoters[4] = 0, 1
+    errors, squares = measured(weights, promoters, shape, inputs, targets)
+    expected = reference_errors(weights, promoters, shape.sizes, inputs, targets)
+    np.testing.assert_allclose(errors, expected, rtol=2e-5, atol=1e-6)
+    assert squares[4] == pytest.approx(np.sum(weights[4].astype(float) ** 2), rel=1e-5)
 
 
 @settings(max_examples=30, deadline=None)
@@ -65,6 +87,23 @@ def test_genes_that_are_not_expressed_do_not_matter(shape: Shape, seed: int) -> 
         assert np.array_equal(left, right)
 
 
+def test_large_weights_and_inputs_stay_finite_and_right() -> None:
+    shape = Shape(3, (5, 4), 2)
+    weights, promoters, inputs, targets = case(shape, 40, 3)
+    weights *= 1000
+    errors, _ = measured(weights, promoters, shape, inputs * 1000, targets)
+    expected = reference_errors(weights, promoters, shape.sizes, inputs * 1000, targets)
+    np.testing.assert_allclose(errors, expected, rtol=1e-4)
+
+
+def test_a_weight_that_is_not_a_number_shows_in_the_error() -> None:
+    shape = Shape(2, (3,), 1)
+    weights, promoters, inputs, targets = case(shape, 20, 3)
+    weights[2, 0], promoters[:] = math.nan, 1
+    errors, _ = measured(weights, promoters, shape, inputs, targets)
+    assert np.isnan(errors).tolist() == [False, False, True, False, False, False, False]
+
+
 def test_sum_of_squares_counts_expressed_weights_only() -> None:
     shape = Shape(1, (2,), 1)  # unit a: 1, 2; unit b: 3, 4; output: 5 (a), 6 (b), 7 (bias)
     weights = np.array([[1, 2, 3, 4, 5, 6, 7]], dtype=np.float32)
@@ -81,25 +120,68 @@ def test_same_input_gives_the_same_bits() -> None:
     assert np.array_equal(first, again)
 
 
+def test_threads_that_share_a_population_by_rows_give_the_same_bits() -> None:
+    shape = Shape(4, (14,), 3)
+    weights, promoters, inputs, targets = case(shape, 200, 1, population=501)
+    whole, squares = measured(weights, promoters, shape, inputs, targets)
+    with ThreadPoolExecutor(2) as threads:
+        rows = (slice(0, 100), slice(100, 501))
+        parts = list(threads.map(lambda part: measured(weights[part], promoters[part], shape, inputs, targets), rows))
+    assert np.array_equal(np.concatenate([errors for errors, _ in parts]), whole)
+    assert np.array_equal(np.concatenate([squares for _, squares in parts]), squares)
+
+
+def test_without_room_for_squares_the_errors_are_the_same() -> None:
+    shape = Shape(3, (6,), 2)
+    weights, promoters, inputs, targets = case(shape, 33, 1)
+    errors, sizes = np.empty(len(weights)), np.array(shape.sizes)
+    population_errors(
+        weights, promoters, sizes, in_blocks(inputs), in_blocks(targets), len(inputs), errors, np.empty(0)
+    )
+    assert np.array_equal(errors, measured(weights, promoters, shape, inputs, targets)[0])
+
+
+def test_other_numbers_than_contiguous_float32_are_refused() -> None:
+    shape = Shape(2, (3,), 1)
+    weights, promoters, inputs, targets = case(shape, 4, 1)
+    for wrong in (weights.astype(np.float64), weights[:, ::-1]):
+        with pytest.raises(TypingError, match="contiguous"):
+            measured(wrong, promoters, shape, inputs, targets)
+
+
 @compiled
-def _tanh_all(values, results):
+def _tanh_all(values, partners, results):
     for i in range(values.size):
-        results[i] = tanh32(values[i])
+        results[i] = tanh_pair(values[i], partners[i])[0]
 
 
 def test_tanh_keeps_its_error_bound() -> None:
-    small = np.logspace(-30, 1, 50_000)
-    values = np.concatenate([np.linspace(-12, 12, 200_001), small, -small, [0.0, 3e38, -3e38, math.inf, -math.inf]])
-    values = values.astype(np.float32)
+    small = np.logspace(-44, 1, 100_000)
+    huge = [0.0, 1e20, 3e38, math.inf]
+    values = np.concatenate([np.linspace(0, 9, 1_000_001), small, huge]).astype(np.float32)
+    values = np.concatenate([values, -values])
     results = np.empty_like(values)
-    _tanh_all(values, results)
-    assert np.abs(results - np.tanh(values.astype(np.float64))).max() <= TANH_ERROR
-    assert np.abs(results).max() <= 1 + TANH_ERROR
+    for partners in (values, np.random.default_rng(0).permutation(values)):
+        _tanh_all(values, partners, results)
+        assert np.abs(results - np.tanh(values.astype(np.float64))).max() <= TANH_ERROR
+        assert np.abs(results).max() <= 1
+    order = np.argsort(values, kind="stable")
+    backwards = np.maximum.accumulate(results[order]) - results[order]
+    assert backwards.max() <= 1e-6
 
 
-@pytest.mark.parametrize(("pairs", "blocks"), [(1, 1), (BLOCK, 1), (BLOCK + 1, 2)])
-def test_blocks_are_filled_up_with_zeros(pairs: int, blocks: int) -> None:
-    rows = np.ones((pairs, 3))
+def test_tanh_of_one_number() -> None:
+    assert abs(tanh32(np.float32(0.5)) - math.tanh(0.5)) <= TANH_ERROR
+    assert tanh32(np.float32(-0.5)) == -tanh32(np.float32(0.5))
+    assert math.isnan(tanh32(np.float32(math.nan)))
+
+
+@pytest.mark.parametrize(("pairs", "blocks"), [(1, 1), (BLOCK, 1), (BLOCK + 1, 2), (3 * BLOCK, 3)])
+def test_blocks_hold_columns_and_are_filled_up_with_zeros(pairs: int, blocks: int) -> None:
+    rows = np.random.default_rng(0).random((pairs, 3), dtype=np.float32)
     packed = in_blocks(rows)
-    assert packed.shape == (blocks, 4, BLOCK)
-    assert packed.sum() == rows.sum()
+    assert packed.shape == (blocks, 3, BLOCK)
+    columns = packed.transpose(0, 2, 1).reshape(-1, 3)
+    assert np.array_equal(columns[:pairs], rows)
+    assert not columns[pairs:].any()
+    assert packed.ctypes.data % 64 == 0

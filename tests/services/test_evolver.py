@@ -379,7 +379,6 @@ def test_a_change_of_context_frees_slots_and_writes_others() -> None:
         assert np.array_equal(one, same)
 
 
-@pytest.mark.xfail(strict=True, reason="the error over an empty memory is NaN, which no message carries")
 def test_a_memory_that_was_emptied_is_followed_and_nothing_is_learnt_from_it() -> None:
     rig = Rig()
     rig.insert()

@@ -1,18 +1,30 @@
-"""Errors of a whole population over the short-term memory, compiled, without keeping any activation.
+"""Errors of a whole population over the short-term memory, compiled.
 
 Genomes are flat float32 rows, laid out as `network.split_layers` views them; promoters are one byte a hidden
-unit. The pairs come transposed in blocks (`in_blocks`), so that each innermost loop runs over a block of
-pairs and becomes vector instructions. A unit that is not expressed costs nothing. One thread; the same
-machine gives the same bits each time.
+unit. The pairs come transposed in blocks (`in_blocks`), so that a vector register holds one column of several
+pairs. A unit that is not expressed costs nothing.
+
+The inner loops are written as LLVM instructions, since what makes them fast cannot be said in Python: the sums of
+several units for several vectors of pairs stay in registers from the bias to the tanh, so that each number loaded
+is used more than once, and vectors are as wide as the processor has them.
+
+One thread, without Python's lock. A genome's error depends on no other genome, so callers may share the rows of a
+population among threads; the same machine gives the same bits each time.
 """
 
 # ruff: noqa: PLR0917 - compiled functions take arrays by position
+# mypy: allow-untyped-calls
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
-from numba import njit
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import njit, types
+from numba.core import cgutils
+from numba.core.codegen import get_host_cpu_features
+from numba.core.errors import TypingError
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from mdb_services.mechanism.network import Floats, split_layers
@@ -26,143 +38,361 @@ _FAST = {"contract", "reassoc", "nsz", "arcp"}
 def compiled(function: _Function) -> _Function:
     """Compile at the first call and keep the result on disk; arrays are not checked for their bounds.
 
-    A check for division by zero would keep loops from becoming vector instructions, hence numpy's error model.
+    A check for division by zero would keep loops from becoming vector instructions, hence numpy's error model; so do
+    indices that might be negative, hence uint64 in short loops. Each view of an array, and each call that passes a
+    tuple of arrays, costs locked instructions to count references: inner loops take whole arrays and indices.
     The disk cache looks at a function's own file only: after editing this one, also touch ``operators.py``.
     """
-    return cast(_Function, njit(cache=True, fastmath=_FAST, error_model="numpy")(function))
+    return cast(_Function, njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")(function))
 
 
-BLOCK = 64
-"""Pairs handled at once: four AVX-512 registers, and few enough for the first-level cache."""
+LANES = 16 if "+avx512f" in get_host_cpu_features() else 8
+"""Pairs in a vector: one register of AVX-512 or AVX, two of smaller processors."""
 
-GROUP = 4
-"""Senders added in one pass over a block, so that the sums are read and written a quarter as often."""
+VECTORS = 2
+"""Vectors taken through a layer together."""
 
-TANH_ERROR = 5e-7
+BLOCK = LANES * VECTORS
+"""Pairs of a block. Of the last one, vectors without any pair are left out."""
+
+UNITS = (4, 2, 1)
+"""Units taken through the pairs together: fours, then what is left. Eight sums hide the time that one takes."""
+
+TANH_ERROR = 7e-7
 """Bound of the absolute error of `tanh32`, over all float32 numbers."""
 
-# tanh(x) = x P(x^2) / Q(x^2): the rational minimax approximation for |x| < 7.9 that Eigen and XLA use.
-_LIMIT = np.float32(7.90531110763549805)
-_P0, _P1 = np.float32(4.89352455891786e-03), np.float32(6.37261928875436e-04)
-_P2, _P3 = np.float32(1.48572235717979e-05), np.float32(5.12229709037114e-08)
-_P4 = np.float32(-8.60467152213735e-11)
-_P5, _P6 = np.float32(2.00018790482477e-13), np.float32(-2.76076847742355e-16)
-_Q0, _Q1 = np.float32(4.89352518554385e-03), np.float32(2.26843463243900e-03)
-_Q2, _Q3 = np.float32(1.18534705686654e-04), np.float32(1.19825839466702e-06)
-_ONE, _ZERO = np.float32(1), np.float32(0)
-_1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
+# tanh(x) = x P(x^2) / Q(x^2) up to the limit, constant beyond (ours): fitted by least squares that are weighted anew
+# until all maxima of the error are alike, and chosen so that no result is beyond 1. Highest power first.
+_LIMIT = 7.9
+_P = (-6.1403305e-09, 7.1508625e-06, 2.6935479e-03, 1.2708731e-01, 9.9999917e-01)
+_Q = (1.9645708e-04, 2.2836069e-02, 4.6041757e-01, 1.0)
+
+_LINE = 64  # bytes of a cache line: a vector that lies across two is read twice
+_FUSED = ("contract",)
+_FLOAT, _INDEX, _WORD = ir.FloatType(), ir.IntType(32), ir.IntType(64)
+_VECTOR = ir.VectorType(_FLOAT, LANES)
+
+
+class _Plan(NamedTuple):
+    """Which units of a genome count, and where their weights are.
+
+    Units have slots, layer after layer, inputs first; in each layer those that count come first. For a slot, rows
+    (slots,) says where a unit's weights begin, biases (slots,) where its bias is, columns (slots,) which weight of a
+    receiver is for its signal. For a layer, firsts (layers,) is its first slot, ends (layers,) that after its last
+    unit that counts. All int64.
+    """
+
+    rows: Any
+    biases: Any
+    columns: Any
+    firsts: Any
+    ends: Any
+
+
+def in_blocks(rows: NDArray[Any]) -> Floats:
+    """Return rows (n, columns) as float32 (blocks, columns, BLOCK), the last block filled up with zeros."""
+    count, columns = rows.shape
+    blocks = -(-count // BLOCK)
+    memory = np.zeros(blocks * columns * BLOCK * 4 + _LINE, dtype=np.uint8)
+    start = -memory.ctypes.data % _LINE
+    filled = memory[start:][: memory.size - _LINE].view(np.float32).reshape(blocks, columns, BLOCK)
+    for block in range(blocks):
+        part = rows[block * BLOCK : (block + 1) * BLOCK]
+        filled[block, :, : len(part)] = part.T
+    return filled
+
+
+# ---- LLVM instructions: these functions run when the kernel is compiled, and emit it ----
+
+
+def _constant(like: Any, number: float) -> Any:
+    """Return a constant of the type of a value, a float or a vector."""
+    number = float(np.float32(number))
+    return ir.Constant(like.type, [number] * LANES if like.type == _VECTOR else number)
+
+
+def _multiply_add(builder: Any, left: Any, right: Any, summand: Any) -> Any:
+    return builder.fadd(builder.fmul(left, right, flags=_FUSED), summand, flags=_FUSED)
+
+
+def _polynomial(builder: Any, coefficients: Sequence[float], x: Any) -> Any:
+    value = _constant(x, coefficients[0])
+    for coefficient in coefficients[1:]:
+        value = _multiply_add(builder, value, x, _constant(x, coefficient))
+    return value
+
+
+def _tanh(builder: Any, values: Sequence[Any]) -> list[Any]:
+    """Return tanh of one or two values, floats or vectors; two share a division, the dearest of its instructions."""
+    over, under = [], []
+    for x in values:
+        for comparison, limit in (("<", _constant(x, _LIMIT)), (">", _constant(x, -_LIMIT))):
+            x = builder.select(builder.fcmp_ordered(comparison, limit, x), limit, x)  # noqa: PLW2901 - NaN stays
+        square = builder.fmul(x, x)
+        over.append(builder.fmul(x, _polynomial(builder, _P, square)))
+        under.append(_polynomial(builder, _Q, square))
+    if len(values) == 1:
+        return [builder.fdiv(*over, *under)]
+    inverse = builder.fdiv(_constant(values[0], 1), builder.fmul(*under))
+    crossed = zip(over, reversed(under), strict=True)
+    return [builder.fmul(builder.fmul(*factors), inverse) for factors in crossed]
+
+
+def _at(builder: Any, pointer: Any, *steps: Any) -> Any:
+    """Return the pointer moved on by steps, numbers or values."""
+    for step in steps:
+        pointer = builder.gep(pointer, [_WORD(step) if isinstance(step, int) else step])
+    return pointer
+
+
+def _spread(builder: Any, number: Any) -> Any:
+    """Return a vector of one number."""
+    none = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
+    first = ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES)
+    return builder.shuffle_vector(builder.insert_element(none, number, _INDEX(0)), none, first)
+
+
+def _loop(builder: Any, first: Any, end: Any, step: int = 1) -> Any:
+    return cgutils.for_range_slice(builder, first, end, _WORD(step), _WORD)
+
+
+class _Blocks(NamedTuple):
+    """Rows of pairs in blocks (blocks, rows, BLOCK): a pointer, and how many rows a block has."""
+
+    pointer: Any
+    rows: Any
+
+    def vectors(self, builder: Any, block: Any, row: Any, count: int) -> list[Any]:
+        """Return pointers to the first vectors of a row."""
+        place = builder.mul(builder.add(builder.mul(block, self.rows), row), _WORD(BLOCK))
+        start = builder.bitcast(_at(builder, self.pointer, place), _VECTOR.as_pointer())
+        return [_at(builder, start, vector) for vector in range(count)]
+
+
+class _Layer(NamedTuple):
+    """What the instructions for a hidden layer refer to; units, senders and receivers are (first slot, end)."""
+
+    weights: Any
+    rows: Any
+    biases: Any
+    columns: Any
+    source: _Blocks
+    work: _Blocks
+    units: Sequence[Any]
+    senders: Sequence[Any]
+    receivers: Sequence[Any]
+
+    def weight(self, builder: Any, table: Any, slot: Any) -> Any:
+        """Return the pointer to the weight whose place a table, rows or biases, gives for a slot."""
+        return _at(builder, self.weights, builder.load(_at(builder, table, slot)))
+
+
+def _emit_units(builder: Any, layer: _Layer, unit: Any, units: int, whole: Any, rest: Any) -> None:
+    """Take some units, from a slot on, through whole blocks of pairs and through some vectors of one more."""
+    slots = [builder.add(unit, _WORD(u)) for u in range(units)]
+    rows = [layer.weight(builder, layer.rows, slot) for slot in slots]
+    biases = [_spread(builder, builder.load(layer.weight(builder, layer.biases, slot))) for slot in slots]
+
+    def emit_block(block: Any, vectors: int) -> None:
+        signals = _emit_signals(builder, layer, rows, biases, block, vectors)
+        first, end = layer.receivers
+        with builder.if_then(builder.icmp_signed("==", first, end)):
+            for slot, own in zip(slots, signals, strict=True):
+                for signal, place in zip(own, layer.work.vectors(builder, block, slot, vectors), strict=True):
+                    builder.store(signal, place, align=4)
+        _emit_sending(builder, layer, slots, signals, block)
+
+    with _loop(builder, _WORD(0), whole) as (block, _):
+        emit_block(block, VECTORS)
+    for vectors in range(1, VECTORS):
+        with builder.if_then(builder.icmp_signed("==", rest, _WORD(vectors))):
+            emit_block(whole, vectors)
+
+
+def _emit_signals(
+    builder: Any, layer: _Layer, rows: Sequence[Any], biases: Sequence[Any], block: Any, vectors: int
+) -> list[list[Any]]:
+    """Return the signals of units for the first vectors of a block: tanh of the bias plus what they receive."""
+    sums = [[cgutils.alloca_once_value(builder, bias) for _ in range(vectors)] for bias in biases]
+    first, end = layer.senders
+    with _loop(builder, _WORD(0), builder.sub(end, first)) as (sender, _):
+        column = builder.load(_at(builder, layer.columns, first, sender))
+        received = [builder.load(place, align=4) for place in layer.source.vectors(builder, block, sender, vectors)]
+        for row, own in zip(rows, sums, strict=True):
+            weight = _spread(builder, builder.load(_at(builder, row, column)))
+            for vector, total in zip(received, own, strict=True):
+                builder.store(_multiply_add(builder, weight, vector, builder.load(total)), total)
+    flat = [builder.load(total) for own in sums for total in own]
+    flat = [signal for pair in range(0, len(flat), 2) for signal in _tanh(builder, flat[pair : pair + 2])]
+    return [flat[start : start + vectors] for start in range(0, len(flat), vectors)]
+
+
+def _emit_sending(
+    builder: Any, layer: _Layer, slots: Sequence[Any], signals: Sequence[Sequence[Any]], block: Any
+) -> None:
+    """Add the weighted signals of units to each receiver's row."""
+    columns = [builder.load(_at(builder, layer.columns, slot)) for slot in slots]
+    with _loop(builder, *layer.receivers) as (receiver, _):
+        row = layer.weight(builder, layer.rows, receiver)
+        places = layer.work.vectors(builder, block, receiver, len(signals[0]))
+        sums = [builder.load(place, align=4) for place in places]
+        for column, own in zip(columns, signals, strict=True):
+            weight = _spread(builder, builder.load(_at(builder, row, column)))
+            sums = [_multiply_add(builder, weight, *pair) for pair in zip(own, sums, strict=True)]
+        for total, place in zip(sums, places, strict=True):
+            builder.store(total, place, align=4)
+
+
+# ---- what compiled Python calls of it ----
+
+
+def emitted(generator: Callable[..., Any]) -> Any:
+    """Make a function that compiled Python calls, of one that returns its signature and what emits it."""
+    return intrinsic(generator)
+
+
+def _array(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, list[Any]]:
+    """Return an array's pointer and shape."""
+    array = context.make_array(kind)(context, builder, value)
+    return array.data, cgutils.unpack_tuple(builder, array.shape)
+
+
+def _blocks(context: Any, builder: Any, kind: Any, value: Any) -> _Blocks:
+    pointer, shape = _array(context, builder, kind, value)
+    return _Blocks(pointer, shape[1])
+
+
+def _check(**arrays: Any) -> None:
+    for name, kind in arrays.items():
+        if kind.dtype != types.float32 or kind.layout != "C":
+            raise TypingError(f"{name}: {kind}; expected float32, C-contiguous: np.ascontiguousarray(x, np.float32)")
+
+
+@emitted
+def _hidden_layer(typingctx: Any, weights: Any, plan: Any, layer: Any, inputs: Any, work: Any, vectors: Any) -> Any:  # noqa: ARG001
+    """Take a hidden layer's units through the first vectors of all pairs.
+
+    weights: those of all genomes, flat; plan: `_Plan`; inputs (blocks, inputs, BLOCK); work (blocks, slots, BLOCK):
+    the units' signals go to their rows; those of the last hidden layer are weighted and added to the outputs' rows.
+    """
+    _check(weights=weights, inputs=inputs, work=work)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds, (weights, plan, layer, inputs, work, vectors) = signature.args, arguments
+        inputs, work = (_blocks(context, builder, kinds[k], array) for k, array in ((3, inputs), (4, work)))
+        tables = zip(kinds[1], cgutils.unpack_tuple(builder, plan), strict=True)
+        rows, biases, columns, firsts, ends = (_array(context, builder, *table) for table in tables)
+        last = builder.sub(firsts[1][0], _WORD(1))
+
+        def span(index: Any) -> list[Any]:
+            return [builder.load(_at(builder, pointer, index)) for pointer, _ in (firsts, ends)]
+
+        units, senders, receivers = span(layer), span(builder.sub(layer, _WORD(1))), span(last)
+        is_last = builder.icmp_signed("==", layer, builder.sub(last, _WORD(1)))
+        receivers[1] = builder.select(is_last, receivers[1], receivers[0])
+        is_first = builder.icmp_signed("==", layer, _WORD(1))
+        signals = _at(builder, work.pointer, builder.mul(senders[0], _WORD(BLOCK)))
+        source = _Blocks(*map(builder.select, [is_first] * 2, inputs, (signals, work.rows)))
+        pointers = (_array(context, builder, kinds[0], weights)[0], rows[0], biases[0], columns[0])
+        parts = _Layer(*pointers, source, work, units, senders, receivers)
+        whole, rest = builder.sdiv(vectors, _WORD(VECTORS)), builder.srem(vectors, _WORD(VECTORS))
+        first, end = units
+        for count in UNITS:
+            stop = builder.add(first, builder.and_(builder.sub(end, first), _WORD(-count)))
+            with _loop(builder, first, stop, count) as (unit, _):
+                _emit_units(builder, parts, unit, count, whole, rest)
+            first = stop
+        return context.get_dummy_value()
+
+    return types.void(weights, plan, layer, inputs, work, vectors), generate
+
+
+@emitted
+def _set_row(typingctx: Any, work: Any, block: Any, slot: Any, bias: Any, targets: Any, output: Any) -> Any:  # noqa: ARG001
+    """Set a row of work to the bias minus the targets: what units send then makes it the outputs' misses."""
+    _check(work=work, targets=targets)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        work, block, slot, bias, targets, output = arguments
+        places = _blocks(context, builder, signature.args[0], work).vectors(builder, block, slot, VECTORS)
+        wanted = _blocks(context, builder, signature.args[4], targets).vectors(builder, block, output, VECTORS)
+        for place, target in zip(places, wanted, strict=True):
+            builder.store(builder.fsub(_spread(builder, bias), builder.load(target, align=4)), place, align=4)
+        return context.get_dummy_value()
+
+    return types.void(work, block, slot, types.float32, targets, output), generate
+
+
+@emitted
+def _sum_of_squares(typingctx: Any, work: Any, block: Any, slot: Any, count: Any) -> Any:  # noqa: ARG001
+    """Return the sum of the squares of the first numbers of a row of work."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        work, block, slot, count = arguments
+        total = zero = ir.Constant(_VECTOR, [0.0] * LANES)
+        places = _blocks(context, builder, signature.args[0], work).vectors(builder, block, slot, VECTORS)
+        for vector, place in enumerate(places):
+            indices = ir.Constant(ir.VectorType(_WORD, LANES), [vector * LANES + lane for lane in range(LANES)])
+            counts = builder.icmp_signed("<", indices, _spread(builder, count))
+            number = builder.select(counts, builder.load(place, align=4), zero)
+            total = _multiply_add(builder, number, number, total)
+        kind = ir.FunctionType(_FLOAT, [_FLOAT, _VECTOR])
+        add_up = cgutils.get_or_insert_function(builder.module, kind, f"llvm.vector.reduce.fadd.v{LANES}f32")
+        return builder.call(add_up, [_FLOAT(0.0), total], fastmath=("reassoc",))
+
+    return types.float32(work, block, slot, count), generate
+
+
+@emitted
+def _two_tanh(typingctx: Any, x: Any, y: Any) -> Any:  # noqa: ARG001
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.make_tuple(builder, signature.return_type, _tanh(builder, arguments))
+
+    return types.UniTuple(types.float32, 2)(types.float32, types.float32), generate
+
+
+# ---- compiled Python ----
+
+
+@compiled
+def tanh_pair(x: Any, y: Any) -> Any:
+    """Return tanh of two float32 that share a division, as hidden layers have it."""
+    return _two_tanh(x, y)
 
 
 @compiled
 def tanh32(x: Any) -> Any:
-    """Return tanh of a float32, within `TANH_ERROR`; no branch, so a loop over it vectorises."""
-    x = min(max(x, -_LIMIT), _LIMIT)
-    y = x * x
-    over = ((((((_P6 * y + _P5) * y + _P4) * y + _P3) * y + _P2) * y + _P1) * y + _P0) * x
-    return over / (((_Q3 * y + _Q2) * y + _Q1) * y + _Q0)
-
-
-def in_blocks(rows: NDArray[Any]) -> Floats:
-    """Return rows (n, columns) as float32 (blocks, columns, BLOCK), filled up with zeros.
-
-    The columns are filled up to a multiple of `GROUP`, the last block to `BLOCK` pairs.
-    """
-    count, columns = rows.shape
-    blocks, padded_columns = -(-count // BLOCK), -(-columns // GROUP) * GROUP
-    padded = np.zeros((blocks * BLOCK, padded_columns), dtype=np.float32)
-    padded[:count, :columns] = rows
-    return np.ascontiguousarray(padded.reshape(blocks, BLOCK, padded_columns).transpose(0, 2, 1))
+    """Return tanh of a float32, within `TANH_ERROR` and never beyond 1."""
+    return _two_tanh(x, x)[0]
 
 
 @compiled
-def _pack(weights: Any, promoters: Any, sizes: Any, packed: Any, counts: Any) -> Any:
-    """Copy the weights that count: for each unit the bias, then the expressed senders, zeros up to a group.
-
-    counts (layers,) receives the expressed units of each layer; the senders of the first layer are the inputs.
-    Returns how many numbers were written.
-    """
-    counts[0] = sizes[0]
-    offset, free, gene, sender_gene = 0, 0, 0, 0
+def _find_expressed(promoters: Any, individual: int, sizes: Any, start: int, plan: _Plan) -> None:
+    """Write the plan of an individual whose weights begin at start."""
+    gene, last = np.uint64(0), sizes.size - 1
     for layer in range(1, sizes.size):
-        before, last = sizes[layer - 1], layer == sizes.size - 1
-        counts[layer] = 0
+        slot, before = np.uint64(plan.firsts[layer]), sizes[layer - 1]
         for unit in range(sizes[layer]):
-            if last or promoters[gene + unit]:
-                row = offset + unit * (before + 1)
-                packed[free] = weights[row + before]
-                free += 1
-                end = free
-                for sender in range(before):
-                    if layer == 1 or promoters[sender_gene + sender]:
-                        packed[end] = weights[row + sender]
-                        end += 1
-                free += max(-(-counts[layer - 1] // GROUP), 1) * GROUP
-                packed[end:free] = _ZERO
-                counts[layer] += 1
-        offset += sizes[layer] * (before + 1)
-        sender_gene = gene
-        gene += sizes[layer]
-    return free
+            # No branch: nobody could foretell it. What is not expressed is written over by the next unit.
+            plan.rows[slot], plan.biases[slot], plan.columns[slot] = start, start + before, unit
+            slot += np.uint64(1 if layer == last else promoters[individual, gene + np.uint64(unit)])
+            start += before + 1
+        gene += np.uint64(sizes[layer])
+        plan.ends[layer] = slot
 
 
 @compiled
-def _weigh(packed: Any, start: Any, senders: Any, source: Any, sums: Any) -> Any:
-    """Write to sums (BLOCK,) the bias plus the weighted senders, source (units, BLOCK); return the next start.
-
-    Unsigned indices and four senders a pass are what make these loops good vector instructions.
-    """
-    bias, w = packed[start], start + np.uint64(1)
-    w0, w1, w2, w3 = packed[w], packed[w + _1], packed[w + _2], packed[w + _3]
-    for b in range(BLOCK):
-        sums[b] = bias + w0 * source[0, b] + w1 * source[1, b] + w2 * source[2, b] + w3 * source[3, b]
-    j = np.uint64(GROUP)
-    while j < senders:
-        w += np.uint64(GROUP)
-        w0, w1, w2, w3 = packed[w], packed[w + _1], packed[w + _2], packed[w + _3]
-        for b in range(BLOCK):
-            first_two = w0 * source[j, b] + w1 * source[j + _1, b]
-            sums[b] += first_two + w2 * source[j + _2, b] + w3 * source[j + _3, b]
-        j += np.uint64(GROUP)
-    return w + np.uint64(GROUP)
-
-
-@compiled
-def _squared_errors(sums: Any, targets: Any, valid: int) -> Any:
-    """Return the sum over a block of the squared differences between outputs and targets."""
-    total = _ZERO
-    for b in range(valid):
-        miss = sums[b] - targets[b]
-        total += miss * miss
+def _squared_weights(weights: Any, plan: _Plan) -> Any:
+    """Return the sum of the squares of the weights that count."""
+    total = np.float32(0)
+    for layer in range(1, plan.ends.size):
+        first, end = np.uint64(plan.firsts[layer - 1]), np.uint64(plan.ends[layer - 1])
+        for slot in range(np.uint64(plan.firsts[layer]), np.uint64(plan.ends[layer])):
+            row, own = np.uint64(plan.rows[slot]), weights[np.uint64(plan.biases[slot])] ** 2
+            for sender in range(first, end):
+                own += weights[row + np.uint64(plan.columns[sender])] ** 2
+            total += own  # one unit's sum need not wait for another's
     return total
-
-
-@compiled
-def _sum_of_squares(values: Any) -> Any:
-    total = _ZERO
-    for value in values:
-        total += value * value
-    return total
-
-
-@compiled
-def _genome_error(packed: Any, counts: Any, inputs: Any, targets: Any, pairs: int, work: Any) -> Any:
-    """Return the mean squared error of one packed genome over all pairs and outputs."""
-    total = 0.0
-    last = counts.size - 1
-    for block in range(inputs.shape[0]):
-        source, start = inputs[block], np.uint64(0)
-        for layer in range(1, last):
-            for unit in range(counts[layer]):
-                sums = work[layer % 2, unit]
-                start = _weigh(packed, start, np.uint64(counts[layer - 1]), source, sums)
-                for b in range(BLOCK):
-                    sums[b] = tanh32(sums[b])
-            source = work[layer % 2]
-        for unit in range(counts[last]):
-            sums = work[last % 2, unit]
-            start = _weigh(packed, start, np.uint64(counts[last - 1]), source, sums)
-            total += _squared_errors(sums, targets[block, unit], min(BLOCK, pairs - block * BLOCK))
-    return total / (pairs * counts[last])
 
 
 @compiled
@@ -173,16 +403,33 @@ def population_errors(
 
     weights (population, weights) float32; promoters (population, hidden units) uint8; sizes (layers,) int64;
     inputs (blocks, inputs, BLOCK) and targets (blocks, outputs, BLOCK) float32 from `in_blocks`; pairs is the
-    number of true pairs, at least one; errors and squares (population,) float64.
+    number of true pairs, at least one; errors and squares (population,) float64. Squares of size 0 are not
+    written, which saves their time. Raises TypingError when weights, inputs or targets are not contiguous float32.
     """
-    rows = (sizes.max() // GROUP + 1) * GROUP
-    counts = np.empty(sizes.size, np.int64)
-    packed = np.empty(weights.shape[1] + GROUP * sizes.sum(), np.float32)
-    work = np.zeros((2, rows, BLOCK), np.float32)
-    for individual in range(weights.shape[0]):
-        used = _pack(weights[individual], promoters[individual], sizes, packed, counts)
-        squares[individual] = _sum_of_squares(packed[:used])
-        errors[individual] = _genome_error(packed, counts, inputs, targets, pairs, work)
+    blocks, last, outputs, slots = inputs.shape[0], sizes.size - 1, targets.shape[1], sizes.sum()
+    rows, biases = np.empty(slots, np.int64), np.empty(slots, np.int64)
+    firsts, ends = np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
+    firsts[1:], ends[0] = np.cumsum(sizes[:-1]), sizes[0]
+    plan, first_output = _Plan(rows, biases, np.arange(slots), firsts, ends), firsts[last]
+    memory = np.empty(blocks * slots * BLOCK + _LINE // 4, np.float32)
+    start = -(memory.ctypes.data // 4) % (_LINE // 4)
+    work = memory[start : start + blocks * slots * BLOCK].reshape(blocks, slots, BLOCK)
+    genomes = weights.reshape(-1)
+    for i in range(weights.shape[0]):
+        _find_expressed(promoters, i, sizes, i * weights.shape[1], plan)
+        for block in range(blocks):
+            for output in range(outputs):
+                bias = genomes[biases[first_output + output]]
+                _set_row(work, block, first_output + output, bias, targets, output)
+        for layer in range(1, last):
+            _hidden_layer(genomes, plan, layer, inputs, work, -(-pairs // LANES))
+        total = 0.0
+        for block in range(blocks):
+            for output in range(outputs):
+                total += _sum_of_squares(work, block, first_output + output, pairs - block * BLOCK)
+        errors[i] = total / (pairs * outputs)
+        if i < squares.size:
+            squares[i] = _squared_weights(genomes, plan)
 
 
 def reference_errors(

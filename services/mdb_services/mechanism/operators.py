@@ -8,8 +8,9 @@ between hidden layers they stay with the receiving unit.
 *Statistically neutral*: crossover and structural mutation leave the expected number of expressed units exactly
 as it is, so only selection changes the size of networks.
 
-Each offspring draws from a stream of its own, a function of (key, generation, offspring), so results depend
-neither on threads nor on order.
+Each offspring has a stream of its own, a function of (key, generation, offspring), and each of its numbers is a
+function of that stream and of the number's index: results depend neither on threads nor on order, and the numbers
+of a whole row are drawn at once, in vectors.
 """
 
 # ruff: noqa: PLR0917 - compiled functions take arrays by position
@@ -22,11 +23,20 @@ from mdb_services.mechanism.kernel import compiled, population_errors
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-_27, _30, _31, _11, _16 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(11), np.uint64(16)
-_LOW16 = np.uint64(0xFFFF)
-_UNIT = 2.0**-53
+_0, _1, _8, _11, _16, _27, _30, _31, _32, _40 = (np.uint64(n) for n in (0, 1, 8, 11, 16, 27, 30, 31, 32, 40))
+_LOW32, _TWO_LOW16 = np.uint64(0xFFFFFFFF), np.uint64(0x0000FFFF0000FFFF)
+_UNIT, _UNIT24 = 2.0**-53, np.float32(2.0**-24)
 # The sum of four 16-bit integers has mean 2 * 65535 and standard deviation sqrt((2**32 - 1) / 3).
 _SUM_MEAN, _SUM_SCALE = np.float32(131070.0), np.float32((3.0 / (2.0**32 - 1.0)) ** 0.5)
+_ZERO, _ONE = np.float32(0), np.float32(1)
+
+# Indices of an offspring's numbers; hidden and output units have one each, and so has each weight.
+_PARENTS, _CROSSOVER, _STEP, _STRUCTURE, _LAYER, _FLIP = range(6)
+_UNITS, _WEIGHTS = np.uint64(16), np.uint64(2**32)
+
+ROW = 16
+"""Numbers written at once: a loop of known length becomes vector instructions throughout."""
+_ROW = np.uint64(ROW)
 
 
 class Settings(NamedTuple):
@@ -57,159 +67,211 @@ def _scramble(z: Any) -> Any:
 
 
 @compiled
-def stream(key: Any, generation: int, offspring: int, state: Any) -> None:
-    """Set state (1,) uint64 to the beginning of an offspring's own stream."""
+def stream(key: Any, generation: int, offspring: int) -> Any:
+    """Return the beginning of an offspring's own stream."""
     z = _scramble(np.uint64(key) + _GOLDEN * np.uint64(generation + 1))
-    state[0] = _scramble(z ^ (_GOLDEN * np.uint64(offspring + 1)))
+    return _scramble(z ^ (_GOLDEN * np.uint64(offspring + 1)))
 
 
 @compiled
-def draw(state: Any) -> Any:
-    """Return the next 64 bits of splitmix64, a counter that is scrambled."""
-    state[0] += _GOLDEN
-    return _scramble(state[0])
+def draw(start: Any, index: Any) -> Any:
+    """Return 64 random bits of a stream: splitmix64, a counter that is scrambled, with any index at once."""
+    return _scramble(start + _GOLDEN * (np.uint64(index) + _1))
 
 
 @compiled
-def uniform(state: Any) -> Any:
+def uniform(bits: Any) -> Any:
     """Return a double in [0, 1)."""
-    return (draw(state) >> _11) * _UNIT
+    return np.int64(bits >> _11) * _UNIT
 
 
 @compiled
-def below(state: Any, limit: int) -> Any:
-    """Return an integer in [0, limit)."""
-    return int(uniform(state) * limit)
+def below(bits: Any, limit: int) -> Any:
+    """Return an integer in [0, limit), from the lower 32 bits; its probability is right to 2**-32."""
+    return np.int64(((bits & _LOW32) * np.uint64(limit)) >> _32)
 
 
 @compiled
-def normal(state: Any) -> Any:
+def normal(bits: Any) -> Any:
     """Return a float32 of mean 0 and variance 1, nearly normal, never beyond 3.47: a sum of four uniforms."""
-    z = draw(state)
-    total = np.float32(z & _LOW16) + np.float32((z >> _16) & _LOW16)
-    total += np.float32((z >> np.uint64(32)) & _LOW16) + np.float32(z >> np.uint64(48))
-    return (total - _SUM_MEAN) * _SUM_SCALE
+    two = (bits & _TWO_LOW16) + ((bits >> _16) & _TWO_LOW16)
+    return (np.float32(np.int32((two & _LOW32) + (two >> _32))) - _SUM_MEAN) * _SUM_SCALE
 
 
 @compiled
-def cross_promoters(first: Any, second: Any, state: Any, promoters: Any, shares: Any) -> None:
-    """Write the child's promoters, and for each unit the first parent's share of its weights.
+def draw_units(start: Any, draws: Any) -> None:
+    """Write the bits of each hidden and output unit: the upper half is for crossover, the lower for mutation."""
+    for unit in range(np.uint64(draws.size)):
+        draws[unit] = draw(start, _UNITS + unit)
 
-    Both express it: the weights mix. Neither: one parent's unit as it is. One does: its weights, and the promoter
-    of either parent with equal probability, so the expected number of expressed units is the parents' mean.
+
+@compiled
+def cross_promoters(promoters: Any, first: int, second: int, draws: Any, genes: Any, child: int, shares: Any) -> None:
+    """Write the promoters of a child, a row of genes, and for each unit the first parent's share of its weights.
+
+    Both parents, rows of promoters, express it: the weights mix. Neither: one parent's unit as it is. One does: its
+    weights, and the promoter of either with equal probability, so the expected number of expressed units is the
+    parents' mean.
     """
-    for unit in range(first.size):
-        if first[unit] == second[unit]:
-            promoters[unit] = first[unit]
-            shares[unit] = uniform(state) if first[unit] else below(state, 2)
-        else:
-            promoters[unit] = below(state, 2)
-            shares[unit] = first[unit]
+    for unit in range(np.uint64(promoters.shape[1])):
+        one, other, bits = promoters[first, unit], promoters[second, unit], draws[unit] >> _32
+        coin, part = np.uint8(bits & _1), np.float32(np.int32(bits >> _8)) * _UNIT24
+        genes[child, unit] = one if one == other else coin
+        alike = part if one else np.float32(coin)
+        shares[unit] = alike if one == other else np.float32(one)
 
 
 @compiled
-def cross_weights(first: Any, second: Any, sizes: Any, shares: Any, state: Any, child: Any) -> None:
-    """Write the child's weights, given the first parent's share of every hidden unit."""
-    offset, gene, sender_gene = 0, 0, 0
-    for layer in range(1, sizes.size):
-        before, last = sizes[layer - 1], layer == sizes.size - 1
-        for unit in range(sizes[layer]):
-            own = np.float32(uniform(state)) if last else shares[gene + unit]
-            for sender in range(before + 1):
-                share = shares[sender_gene + sender] if last and sender < before else own
-                child[offset] = second[offset] + share * (first[offset] - second[offset])
-                offset += 1
-        sender_gene = gene
-        gene += sizes[layer]
+def cross_weights(sizes: Any, draws: Any, shares: Any, weight_shares: Any) -> None:
+    """Write the first parent's share of each weight, given that of every hidden unit; both have `ROW` to spare."""
+    place, gene, last = _0, _0, sizes.size - 1
+    for layer in range(1, last):
+        row = np.uint64(sizes[layer - 1] + 1)
+        for _ in range(sizes[layer]):
+            for part in range(place, place + row, _ROW):
+                for i in range(_ROW):  # what is too many belongs to the next unit, which writes it anew
+                    weight_shares[part + i] = shares[gene]
+            place += row
+            gene += _1
+    before = np.uint64(sizes[last - 1])
+    for output in range(gene, gene + np.uint64(sizes[last])):
+        for part in range(_0, before, _ROW):
+            for i in range(_ROW):
+                weight_shares[place + part + i] = shares[gene - before + part + i]
+        weight_shares[place + before] = np.float32(np.int32(draws[output] >> _40)) * _UNIT24
+        place += before + _1
 
 
 @compiled
-def mutate_structure(promoters: Any, sizes: Any, state: Any) -> None:
+def mutate_structure(genes: Any, child: int, sizes: Any, start: Any) -> None:
     """Switch one unit of one layer on or off, with equal probability, and only where both are possible.
 
     Hence the expected number of expressed units stays. A layer with all its units or none is left alone: any
     move there would have a direction.
     """
-    layer = 1 + below(state, sizes.size - 2)
-    start = sizes[1:layer].sum()
-    stop = start + sizes[layer]
-    expressed = promoters[start:stop].sum()
-    if expressed in (0, stop - start):
+    layer = 1 + below(draw(start, _LAYER), sizes.size - 2)
+    begin = 0
+    for before in range(1, layer):
+        begin += sizes[before]
+    end, expressed = begin + sizes[layer], 0
+    for unit in range(begin, end):
+        expressed += genes[child, unit]
+    if expressed in (0, sizes[layer]):
         return
-    old = below(state, 2)
-    chosen = below(state, expressed if old else stop - start - expressed)
-    for unit in range(start, stop):
-        if promoters[unit] == old:
+    bits = draw(start, _FLIP)
+    old = bits >> np.uint64(63)
+    chosen = below(bits, expressed if old else sizes[layer] - expressed)
+    for unit in range(begin, end):
+        if genes[child, unit] == old:
             if chosen == 0:
-                promoters[unit] = 1 - old
+                genes[child, unit] = 1 - old
                 return
             chosen -= 1
 
 
 @compiled
-def mutate_weights(child: Any, promoters: Any, sizes: Any, rate: float, step: Any, limit: Any, state: Any) -> None:
-    """Choose each expressed unit with the given rate and add normal numbers of the given step to its weights.
+def mutate_weights(
+    genes: Any, child: int, sizes: Any, rate: float, step: Any, start: Any, draws: Any, chosen: Any, changes: Any
+) -> None:
+    """Choose each expressed unit with the given rate; write what is added to each weight, with `ROW` twice to spare.
 
-    Whatever does not count (units not expressed, weights from them) is left as it is: the memory of old tasks.
+    That is a normal number times the step for the weights of chosen units, zero for all others, and zero for weights
+    from units that are not expressed: what does not count stays as it is, the memory of old tasks.
+    chosen (units of the largest layer,): space to work in.
     """
-    offset, gene, sender_gene = 0, 0, 0
+    changes[:] = _ZERO
+    place, gene, last = _0, _0, sizes.size - 1
+    threshold = np.uint64(rate * 2.0**32)
     for layer in range(1, sizes.size):
-        before, last = sizes[layer - 1], layer == sizes.size - 1
-        for unit in range(sizes[layer]):
-            if (last or promoters[gene + unit]) and uniform(state) < rate:
-                for sender in range(before + 1):
-                    if layer == 1 or sender == before or promoters[sender_gene + sender]:
-                        moved = child[offset + sender] + step * normal(state)
-                        child[offset + sender] = min(max(moved, -limit), limit)
-            offset += before + 1
-        sender_gene = gene
-        gene += sizes[layer]
+        before, count = np.uint64(sizes[layer - 1]), np.int64(0)
+        senders = gene - before
+        for _ in range(sizes[layer]):
+            chosen[count] = place  # no branch: nobody could foretell it
+            expressed = layer == last or genes[child, gene] != 0
+            count += np.int64(((draws[gene] & _LOW32) < threshold) & expressed)
+            place += before + _1
+            gene += _1
+        for k in range(count):
+            row = chosen[k]
+            for part in range(row, row + before + _1, _ROW):
+                for i in range(_ROW):
+                    changes[part + i] = step * normal(draw(start, _WEIGHTS + part + i))
+            for i in range(_ROW):  # what was too many
+                changes[row + before + _1 + i] = _ZERO
+            if layer > 1:
+                for sender in range(before):
+                    changes[row + sender] *= np.float32(genes[child, senders + sender])
 
 
 @compiled
-def _breed(
-    population: Any,
-    parents: Any,
-    sizes: Any,
-    settings: Settings,
-    state: Any,
-    child: Any,
-    child_promoters: Any,
-    shares: Any,
-) -> Any:
-    """Write one offspring of two parents, or of one, to child and child_promoters; return its mutation step."""
-    weights, promoters, steps = population
-    a, b = parents[below(state, parents.size)], parents[below(state, parents.size)]
-    if uniform(state) >= settings.crossover_rate:
-        b = a
-    cross_promoters(promoters[a], promoters[b], state, child_promoters, shares)
-    cross_weights(weights[a], weights[b], sizes, shares, state, child)
-    step = np.sqrt(steps[a] * steps[b]) * np.exp(np.float32(settings.step_rate) * normal(state))
-    step = np.float32(min(max(step, settings.step_min), settings.step_max))
-    if uniform(state) < settings.structural_rate:
-        mutate_structure(child_promoters, sizes, state)
-    limit = np.float32(settings.weight_limit)
-    mutate_weights(child, child_promoters, sizes, settings.mutation_rate, step, limit, state)
-    return step
+def write_child(
+    weights: Any, first: int, second: int, weight_shares: Any, changes: Any, limit: Any, children: Any, child: int
+) -> None:
+    """Mix the parents' weights and add the changes, within the limit; what is neither is copied exactly."""
+    for place in range(np.uint64(children.shape[1])):
+        mine, its = weights[first, place], weights[second, place]
+        share, change = weight_shares[place], changes[place]
+        mixed = mine if share == _ONE else its + share * (mine - its)
+        changed = min(max(mixed + change, -limit), limit)
+        children[child, place] = changed if change != _ZERO else mixed
 
 
 @compiled
-def immigrate(settings: Settings, state: Any, child: Any, child_promoters: Any) -> Any:
-    """Write an individual as the first population had them, and return its mutation step."""
-    for gene in range(child.size):
-        child[gene] = (2.0 * uniform(state) - 1.0) * settings.weight_first
-    for gene in range(child_promoters.size):
-        child_promoters[gene] = uniform(state) < settings.expressed_first
-    return np.float32(settings.step_first)
+def immigrate(settings: Settings, start: Any, children: Any, genes: Any, child: int) -> None:
+    """Write an individual as the first population had them."""
+    for place in range(np.uint64(children.shape[1])):
+        children[child, place] = (2.0 * uniform(draw(start, _WEIGHTS + place)) - 1.0) * settings.weight_first
+    for unit in range(np.uint64(genes.shape[1])):
+        genes[child, unit] = uniform(draw(start, _UNITS + unit)) < settings.expressed_first
 
 
 @compiled
 def _measure(weights: Any, promoters: Any, sizes: Any, data: Any, penalty: float, errors: Any, fitness: Any) -> None:
     """Write errors and fitness (the lower the better): the error plus the penalty on squared weights."""
     inputs, targets, pairs = data
-    population_errors(weights, promoters, sizes, inputs, targets, pairs, errors, fitness)
+    squares = fitness if penalty > 0 else fitness[:0]
+    population_errors(weights, promoters, sizes, inputs, targets, pairs, errors, squares)
     for i in range(errors.size):
-        fitness[i] = errors[i] + penalty * fitness[i]
+        fitness[i] = errors[i] + penalty * fitness[i] if penalty > 0 else errors[i]
+
+
+@compiled
+def new_step(one: Any, other: Any, settings: Settings, start: Any) -> Any:
+    """Return a child's mutation step: the mean of its parents', on a logarithmic scale, changed a little."""
+    step = np.sqrt(one * other) * np.exp(np.float32(settings.step_rate) * normal(draw(start, _STEP)))
+    return np.float32(min(max(step, settings.step_min), settings.step_max))
+
+
+@compiled
+def _breed(
+    population: Any, order: Any, sizes: Any, settings: Settings, key: Any, generation: int, children: Any
+) -> None:
+    """Write offspring of the first in the order, and immigrants in the last places; the elite's places stay."""
+    (weights, promoters, steps), (new_weights, genes, new_steps) = population, children
+    hidden, room = promoters.shape[1], weights.shape[1] + 2 * ROW
+    draws, shares = np.empty(hidden + sizes[-1], np.uint64), np.empty(hidden + ROW, np.float32)
+    weight_shares, changes = np.empty(room, np.float32), np.empty(room, np.float32)
+    chosen = np.empty(sizes.max(), np.uint64)
+    parents = max(1, round(settings.parent_share * steps.size))
+    immigrants = min(steps.size - settings.elite, round(settings.immigrant_share * steps.size))
+    rate, limit = settings.mutation_rate, np.float32(settings.weight_limit)
+    for place in range(settings.elite, steps.size - immigrants):
+        start = stream(key, generation, place)
+        draw_units(start, draws)
+        bits = draw(start, _PARENTS)
+        a, b = order[below(bits, parents)], order[below(bits >> _32, parents)]
+        if uniform(draw(start, _CROSSOVER)) >= settings.crossover_rate:
+            b = a
+        new_steps[place] = new_step(steps[a], steps[b], settings, start)
+        cross_promoters(promoters, a, b, draws, genes, place, shares)
+        cross_weights(sizes, draws, shares, weight_shares)
+        if uniform(draw(start, _STRUCTURE)) < settings.structural_rate:
+            mutate_structure(genes, place, sizes, start)
+        mutate_weights(genes, place, sizes, rate, new_steps[place], start, draws, chosen, changes)
+        write_child(weights, a, b, weight_shares, changes, limit, new_weights, place)
+    for place in range(steps.size - immigrants, steps.size):
+        immigrate(settings, stream(key, generation, place), new_weights, genes, place)
+        new_steps[place] = settings.step_first
 
 
 @compiled
@@ -223,26 +285,17 @@ def evolve(
     part of the population, all of whose members have the same chance, replace the others but for a few immigrants:
     neutral operators cannot bring back what all have lost, say every unit of a layer.
     """
-    weights, promoters, steps = population
-    elite, penalty = settings.elite, settings.weight_penalty
-    parents = max(1, round(settings.parent_share * steps.size))
-    natives = max(elite, steps.size - round(settings.immigrant_share * steps.size))
-    _measure(weights, promoters, sizes, data, penalty, errors, fitness)
-    new_weights, new_promoters, new_steps = weights.copy(), promoters.copy(), steps.copy()
-    shares, state = np.empty(promoters.shape[1], np.float32), np.empty(1, np.uint64)
-    for generation in range(generations[0], generations[1]):
+    elite, penalty, (first, end) = settings.elite, settings.weight_penalty, generations
+    _measure(population[0], population[1], sizes, data, penalty, errors, fitness)
+    children = population[0].copy(), population[1].copy(), population[2].copy()
+    for generation in range(first, end):
         order = np.argsort(fitness, kind="mergesort")
         for place in range(elite):
-            kept = order[place]
-            new_weights[place], new_promoters[place] = weights[kept], promoters[kept]
-            new_steps[place] = steps[kept]
-        for place in range(elite, steps.size):
-            stream(key, generation, place, state)
-            child, genes = new_weights[place], new_promoters[place]
-            if place < natives:
-                new_steps[place] = _breed(population, order[:parents], sizes, settings, state, child, genes, shares)
-            else:
-                new_steps[place] = immigrate(settings, state, child, genes)
+            children[0][place], children[1][place] = population[0][order[place]], population[1][order[place]]
+            children[2][place] = population[2][order[place]]
+        _breed(population, order, sizes, settings, key, generation, children)
         errors[:elite], fitness[:elite] = errors[order[:elite]], fitness[order[:elite]]
-        weights[:], promoters[:], steps[:] = new_weights, new_promoters, new_steps
-        _measure(weights[elite:], promoters[elite:], sizes, data, penalty, errors[elite:], fitness[elite:])
+        population, children = children, population
+        _measure(population[0][elite:], population[1][elite:], sizes, data, penalty, errors[elite:], fitness[elite:])
+    if (end - first) % 2:  # the last generation is in the arrays of this function
+        children[0][:], children[1][:], children[2][:] = population
