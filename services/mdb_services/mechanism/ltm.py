@@ -38,7 +38,7 @@ class LongTermConfig:
     missed_error: float = 0.2
     """A pair with a larger error is missed. After `fit_pairs` missed ones a stored model that fits acts, before the
     change is certain: a context that is known needs less evidence than a new one."""
-    newest: int = 10
+    newest: int = 100
     """Pairs of a new context, at most, on which a stored model is tried."""
     seeds: int = 3
     """Stored models that enter the population when the context has changed, the best first."""
