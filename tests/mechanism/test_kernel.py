@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 from numba.core.errors import TypingError
 
 from mdb_services.mechanism.kernel import (
     BLOCK,
     LANES,
     TANH_ERROR,
-    compiled,
     in_blocks,
     population_errors,
     reference_errors,
@@ -23,7 +23,18 @@ from mdb_services.mechanism.network import Shape
 shapes = st.builds(
     Shape, st.integers(1, 9), st.lists(st.integers(1, 9), min_size=1, max_size=3).map(tuple), st.integers(1, 4)
 )
-around_blocks = [LANES - 1, LANES, LANES + 1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK, 3 * BLOCK + LANES + 1]
+around_blocks = [
+    LANES - 1,
+    LANES,
+    LANES + 1,
+    2 * LANES,
+    2 * LANES + 1,
+    BLOCK - 1,
+    BLOCK,
+    BLOCK + 1,
+    3 * BLOCK,
+    3 * BLOCK + LANES + 1,
+]
 pair_counts = st.one_of(st.integers(1, 200), st.sampled_from(around_blocks))
 
 
@@ -149,7 +160,7 @@ def test_other_numbers_than_contiguous_float32_are_refused() -> None:
             measured(wrong, promoters, shape, inputs, targets)
 
 
-@compiled
+@njit  # not kept on disk, where it would outlive a change of the kernel
 def _tanh_all(values, partners, results):
     for i in range(values.size):
         results[i] = tanh_pair(values[i], partners[i])[0]

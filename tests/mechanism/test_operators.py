@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mdb_services.mechanism import operators
-from mdb_services.mechanism.kernel import in_blocks
+from mdb_services.mechanism.kernel import VERSION, in_blocks
 from mdb_services.mechanism.network import Shape, split_layers
 from mdb_services.mechanism.operators import ROW, Settings
 from mdb_services.mechanism.settings import EvolutionConfig
@@ -209,6 +209,15 @@ def test_offspring_and_generations_have_streams_of_their_own() -> None:
     assert np.unique(bits(1, 1000)).size == 1000
 
 
+@pytest.mark.parametrize("count", [1, 7, 60])
+def test_the_best_come_first_and_among_equals_the_lower_index(count: int) -> None:
+    fitness = np.round(np.random.default_rng(0).random(60) * 9)
+    best = operators.find_best(fitness, count)
+    assert best[:count].tolist() == np.argsort(fitness, kind="stable")[:count].tolist()
+    fitness[:] = np.nan
+    assert operators.find_best(fitness, count).size >= count
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_same_key_gives_the_same_population_in_one_call_or_in_several(shape: Shape) -> None:
     config = EvolutionConfig(population=50)
@@ -228,3 +237,8 @@ def test_sizes_and_bounds_of_a_population_are_kept() -> None:
         assert np.abs(weights).max() <= 1.5
         assert promoters.max() <= 1
         assert 0.5 <= steps.min() <= steps.max() <= 1.0
+
+
+def test_compiled_code_is_kept_under_the_version_of_the_kernel_it_contains() -> None:
+    evolved(SHAPES[0], EvolutionConfig(population=10), 1)
+    assert all(f"omitted(default={VERSION})" in str(signature) for signature in operators.evolve.signatures)

@@ -15,7 +15,9 @@ population among threads; the same machine gives the same bits each time.
 # ruff: noqa: PLR0917 - compiled functions take arrays by position
 # mypy: allow-untyped-calls
 
+import zlib
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -41,22 +43,26 @@ def compiled(function: _Function) -> _Function:
     A check for division by zero would keep loops from becoming vector instructions, hence numpy's error model; so do
     indices that might be negative, hence uint64 in short loops. Each view of an array, and each call that passes a
     tuple of arrays, costs locked instructions to count references: inner loops take whole arrays and indices.
-    The disk cache looks at a function's own file only: after editing this one, also touch ``operators.py``.
+    The disk keeps code under a function's own file and the types of its arguments only. So what calls functions of
+    this file from another takes `VERSION` as the default of an argument: the value is part of that argument's type.
     """
     return cast(_Function, njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")(function))
 
 
+VERSION = zlib.crc32(Path(__file__).read_bytes())
+"""Changes with this file."""
+
 LANES = 16 if "+avx512f" in get_host_cpu_features() else 8
 """Pairs in a vector: one register of AVX-512 or AVX, two of smaller processors."""
 
-VECTORS = 2
-"""Vectors taken through a layer together."""
+VECTORS = 3
+"""Vectors taken through a layer together: with four units, twelve sums, as many as hide the time that one takes."""
 
 BLOCK = LANES * VECTORS
 """Pairs of a block. Of the last one, vectors without any pair are left out."""
 
 UNITS = (4, 2, 1)
-"""Units taken through the pairs together: fours, then what is left. Eight sums hide the time that one takes."""
+"""Units taken through the pairs together: as many fours as there are, then what is left."""
 
 TANH_ERROR = 7e-7
 """Bound of the absolute error of `tanh32`, over all float32 numbers."""
@@ -77,13 +83,11 @@ class _Plan(NamedTuple):
     """Which units of a genome count, and where their weights are.
 
     Units have slots, layer after layer, inputs first; in each layer those that count come first. For a slot, rows
-    (slots,) says where a unit's weights begin, biases (slots,) where its bias is, columns (slots,) which weight of a
-    receiver is for its signal. For a layer, firsts (layers,) is its first slot, ends (layers,) that after its last
-    unit that counts. All int64.
+    (slots,) says where a unit's weights begin, columns (slots,) which weight of a receiver is for its signal. For a
+    layer, firsts (layers,) is its first slot, ends (layers,) that after its last unit that counts. All int64.
     """
 
     rows: Any
-    biases: Any
     columns: Any
     firsts: Any
     ends: Any
@@ -170,28 +174,28 @@ class _Blocks(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """What the instructions for a hidden layer refer to; units, senders and receivers are (first slot, end)."""
+    """What the instructions for a hidden layer refer to; bias: its column; units, senders, receivers: (slot, end)."""
 
     weights: Any
     rows: Any
-    biases: Any
     columns: Any
+    bias: Any
     source: _Blocks
     work: _Blocks
     units: Sequence[Any]
     senders: Sequence[Any]
     receivers: Sequence[Any]
 
-    def weight(self, builder: Any, table: Any, slot: Any) -> Any:
-        """Return the pointer to the weight whose place a table, rows or biases, gives for a slot."""
-        return _at(builder, self.weights, builder.load(_at(builder, table, slot)))
+    def row(self, builder: Any, slot: Any) -> Any:
+        """Return the pointer to a unit's weights."""
+        return _at(builder, self.weights, builder.load(_at(builder, self.rows, slot)))
 
 
 def _emit_units(builder: Any, layer: _Layer, unit: Any, units: int, whole: Any, rest: Any) -> None:
     """Take some units, from a slot on, through whole blocks of pairs and through some vectors of one more."""
     slots = [builder.add(unit, _WORD(u)) for u in range(units)]
-    rows = [layer.weight(builder, layer.rows, slot) for slot in slots]
-    biases = [_spread(builder, builder.load(layer.weight(builder, layer.biases, slot))) for slot in slots]
+    rows = [layer.row(builder, slot) for slot in slots]
+    biases = [_spread(builder, builder.load(_at(builder, row, layer.bias))) for row in rows]
 
     def emit_block(block: Any, vectors: int) -> None:
         signals = _emit_signals(builder, layer, rows, biases, block, vectors)
@@ -233,7 +237,7 @@ def _emit_sending(
     """Add the weighted signals of units to each receiver's row."""
     columns = [builder.load(_at(builder, layer.columns, slot)) for slot in slots]
     with _loop(builder, *layer.receivers) as (receiver, _):
-        row = layer.weight(builder, layer.rows, receiver)
+        row = layer.row(builder, receiver)
         places = layer.work.vectors(builder, block, receiver, len(signals[0]))
         sums = [builder.load(place, align=4) for place in places]
         for column, own in zip(columns, signals, strict=True):
@@ -281,7 +285,7 @@ def _hidden_layer(typingctx: Any, weights: Any, plan: Any, layer: Any, inputs: A
         kinds, (weights, plan, layer, inputs, work, vectors) = signature.args, arguments
         inputs, work = (_blocks(context, builder, kinds[k], array) for k, array in ((3, inputs), (4, work)))
         tables = zip(kinds[1], cgutils.unpack_tuple(builder, plan), strict=True)
-        rows, biases, columns, firsts, ends = (_array(context, builder, *table) for table in tables)
+        rows, columns, firsts, ends = (_array(context, builder, *table) for table in tables)
         last = builder.sub(firsts[1][0], _WORD(1))
 
         def span(index: Any) -> list[Any]:
@@ -293,8 +297,9 @@ def _hidden_layer(typingctx: Any, weights: Any, plan: Any, layer: Any, inputs: A
         is_first = builder.icmp_signed("==", layer, _WORD(1))
         signals = _at(builder, work.pointer, builder.mul(senders[0], _WORD(BLOCK)))
         source = _Blocks(*map(builder.select, [is_first] * 2, inputs, (signals, work.rows)))
-        pointers = (_array(context, builder, kinds[0], weights)[0], rows[0], biases[0], columns[0])
-        parts = _Layer(*pointers, source, work, units, senders, receivers)
+        pointers = (_array(context, builder, kinds[0], weights)[0], rows[0], columns[0])
+        bias = builder.sub(units[0], senders[0])
+        parts = _Layer(*pointers, bias, source, work, units, senders, receivers)
         whole, rest = builder.sdiv(vectors, _WORD(VECTORS)), builder.srem(vectors, _WORD(VECTORS))
         first, end = units
         for count in UNITS:
@@ -371,12 +376,12 @@ def _find_expressed(promoters: Any, individual: int, sizes: Any, start: int, pla
     """Write the plan of an individual whose weights begin at start."""
     gene, last = np.uint64(0), sizes.size - 1
     for layer in range(1, sizes.size):
-        slot, before = np.uint64(plan.firsts[layer]), sizes[layer - 1]
+        slot = np.uint64(plan.firsts[layer])
         for unit in range(sizes[layer]):
             # No branch: nobody could foretell it. What is not expressed is written over by the next unit.
-            plan.rows[slot], plan.biases[slot], plan.columns[slot] = start, start + before, unit
+            plan.rows[slot], plan.columns[slot] = start, unit
             slot += np.uint64(1 if layer == last else promoters[individual, gene + np.uint64(unit)])
-            start += before + 1
+            start += sizes[layer - 1] + 1
         gene += np.uint64(sizes[layer])
         plan.ends[layer] = slot
 
@@ -387,8 +392,10 @@ def _squared_weights(weights: Any, plan: _Plan) -> Any:
     total = np.float32(0)
     for layer in range(1, plan.ends.size):
         first, end = np.uint64(plan.firsts[layer - 1]), np.uint64(plan.ends[layer - 1])
+        bias = np.uint64(plan.firsts[layer] - plan.firsts[layer - 1])
         for slot in range(np.uint64(plan.firsts[layer]), np.uint64(plan.ends[layer])):
-            row, own = np.uint64(plan.rows[slot]), weights[np.uint64(plan.biases[slot])] ** 2
+            row = np.uint64(plan.rows[slot])
+            own = weights[row + bias] ** 2
             for sender in range(first, end):
                 own += weights[row + np.uint64(plan.columns[sender])] ** 2
             total += own  # one unit's sum need not wait for another's
@@ -407,10 +414,9 @@ def population_errors(
     written, which saves their time. Raises TypingError when weights, inputs or targets are not contiguous float32.
     """
     blocks, last, outputs, slots = inputs.shape[0], sizes.size - 1, targets.shape[1], sizes.sum()
-    rows, biases = np.empty(slots, np.int64), np.empty(slots, np.int64)
-    firsts, ends = np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
+    rows, firsts, ends = np.empty(slots, np.int64), np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
     firsts[1:], ends[0] = np.cumsum(sizes[:-1]), sizes[0]
-    plan, first_output = _Plan(rows, biases, np.arange(slots), firsts, ends), firsts[last]
+    plan, first_output = _Plan(rows, np.arange(slots), firsts, ends), firsts[last]
     memory = np.empty(blocks * slots * BLOCK + _LINE // 4, np.float32)
     start = -(memory.ctypes.data // 4) % (_LINE // 4)
     work = memory[start : start + blocks * slots * BLOCK].reshape(blocks, slots, BLOCK)
@@ -419,7 +425,7 @@ def population_errors(
         _find_expressed(promoters, i, sizes, i * weights.shape[1], plan)
         for block in range(blocks):
             for output in range(outputs):
-                bias = genomes[biases[first_output + output]]
+                bias = genomes[rows[first_output + output] + sizes[last - 1]]
                 _set_row(work, block, first_output + output, bias, targets, output)
         for layer in range(1, last):
             _hidden_layer(genomes, plan, layer, inputs, work, -(-pairs // LANES))
