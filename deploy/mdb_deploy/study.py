@@ -18,9 +18,10 @@ from mdb_services.config import BrainConfig
 from mdb_services.mechanism.stm import MemoryConfig
 from mdb_sim.acceptance import acceptance_row, acceptance_table
 from mdb_sim.experiment import Experiment
+from mdb_sim.figures import need_matplotlib
 from mdb_sim.record import RunRecord
 from mdb_sim.study import ablation_quantities, ablation_table, comings_row, comings_table, seeds_text
-from mdb_sim.study_figures import draw_ablation, draw_comings, need_matplotlib
+from mdb_sim.study_figures import draw_ablation, draw_comings
 
 T = TypeVar("T")
 

@@ -246,15 +246,14 @@ class ModelMemory:
     def _message(
         self, change: Change, rows: Rows | None, seeds: list[messages.ModelWeights] | None = None
     ) -> messages.MemoryChange:
-        inputs, targets = self.stm.arrays()[:2]
-        none = inputs[:0], targets[:0]
+        inputs, targets = rows or [array[:0] for array in self.stm.arrays()[:2]]
         return messages.MemoryChange(
             model=self.name,
             version=change.version,
             slots=np.array(change.slots, dtype=np.int64),
             pairs=np.array(change.ids, dtype=np.int64),
-            inputs=(rows or none)[0],
-            targets=(rows or none)[1],
+            inputs=inputs,
+            targets=targets,
             freed=np.array(change.freed, dtype=np.int64),
             evicted=np.array(change.evicted, dtype=np.int64),
             seeds=seeds or [],

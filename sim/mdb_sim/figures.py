@@ -53,7 +53,7 @@ def draw(run: Path, out: Path | None = None) -> list[Path]:
 
     MdbError when matplotlib, the run log or the experiment file is missing.
     """
-    _need_matplotlib()
+    need_matplotlib()
     record = read_record(run)
     folder = run if out is None else out
     figures: tuple[tuple[str, Callable[[RunRecord, Figure], None], tuple[float, float]], ...] = (
@@ -64,7 +64,7 @@ def draw(run: Path, out: Path | None = None) -> list[Path]:
     return [
         path
         for name, fill, size in figures
-        for path in _save(folder / name, size, lambda figure, fill=fill: fill(record, figure))  # type: ignore[misc]
+        for path in save(folder / name, size, lambda figure, fill=fill: fill(record, figure))  # type: ignore[misc]
     ]
 
 
@@ -73,17 +73,18 @@ def draw_band(runs: Sequence[Path], out: Path) -> list[Path]:
 
     The runs should be of one experiment file with different seeds: phases are drawn as in the first.
     """
-    _need_matplotlib()
+    need_matplotlib()
     if not runs:
         raise MdbError("no runs to draw; give at least one run folder")
     records = [read_record(run) for run in runs]
     return [
-        *_save(out / "figure4-seeds", (9.0, 7.2), lambda figure: _draw_errors_band(records, figure)),
-        *_save(out / "figure5-seeds", (9.0, 4.6), lambda figure: _draw_captures_band(records, figure)),
+        *save(out / "figure4-seeds", (9.0, 7.2), lambda figure: _draw_errors_band(records, figure)),
+        *save(out / "figure5-seeds", (9.0, 4.6), lambda figure: _draw_captures_band(records, figure)),
     ]
 
 
-def _need_matplotlib() -> None:
+def need_matplotlib() -> None:
+    """Raise MdbError when matplotlib is missing: to be called before hours of runs, not after."""
     try:
         import matplotlib  # noqa: F401 - an extra
     except ImportError as error:
@@ -92,7 +93,7 @@ def _need_matplotlib() -> None:
         ) from error
 
 
-def _save(stem: Path, size: tuple[float, float], fill: Callable[[Figure], None]) -> list[Path]:
+def save(stem: Path, size: tuple[float, float], fill: Callable[[Figure], None]) -> list[Path]:
     """Make, fill and write one figure; nothing of matplotlib's global state is touched."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg

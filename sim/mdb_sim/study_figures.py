@@ -6,7 +6,7 @@ Owns how they look; needs matplotlib, like `figures`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,16 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mdb_sim import measures
-from mdb_sim.figures import BLUE, GREEN, INK, MUTED, ORANGE, _need_matplotlib, _save, band, note
+from mdb_sim.figures import BLUE, GREEN, INK, MUTED, ORANGE, band, note, save
 from mdb_sim.record import Floats
 from mdb_sim.study import FEWEST, ComingsRow, Quantity, percent, seeds_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-need_matplotlib: Callable[[], None] = _need_matplotlib
-"""Raise MdbError when matplotlib is missing: to be called before hours of runs, not after."""
 
 COLUMNS = 2
 ROW_IN, WIDTH_IN = 0.3, 11.0
@@ -39,7 +36,7 @@ def draw_ablation(quantities: Sequence[Quantity], stem: Path) -> list[Path]:
     """Draw one panel a measure with one row a variant, as PNG and SVG; return the files."""
     rows = math.ceil(len(quantities) / COLUMNS)
     height_in = rows * (1.0 + ROW_IN * len(quantities[0].values)) + 0.8
-    return _save(stem, (WIDTH_IN, height_in), lambda figure: _fill_ablation(quantities, figure))
+    return save(stem, (WIDTH_IN, height_in), lambda figure: _fill_ablation(quantities, figure))
 
 
 def _fill_ablation(quantities: Sequence[Quantity], figure: Figure) -> None:
@@ -128,7 +125,7 @@ def draw_comings(results: Mapping[str, Sequence[ComingsRow]], stem: Path) -> lis
     """Draw obedience within each coming, one row of panels a teacher, as PNG and SVG; return the files."""
     comings = next(iter(results.values()))[0].comings
     teachers = list(dict.fromkeys(coming.teacher for coming in comings))
-    return _save(stem, (WIDTH_IN, 1.0 + 3.1 * len(teachers)), lambda figure: _fill_comings(results, figure))
+    return save(stem, (WIDTH_IN, 1.0 + 3.1 * len(teachers)), lambda figure: _fill_comings(results, figure))
 
 
 def _fill_comings(results: Mapping[str, Sequence[ComingsRow]], figure: Figure) -> None:
