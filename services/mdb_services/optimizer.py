@@ -8,6 +8,7 @@ it goes on from the stage the cycle is in with what has come.
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import islice
@@ -15,6 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 import structlog
+from numpy.typing import NDArray
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
@@ -34,6 +36,8 @@ ENDING_S = 5.0
 """Bound on waiting for the last acknowledgements before the experiment is called finished."""
 KEPT_AHEAD = 256
 """Commands, and feedback, that are kept for iterations to come; beyond it the farthest ahead is dropped."""
+NEVER = -1
+"""In place of an iteration, for an action that was not tried yet."""
 RESENT_AT_ONCE = 100
 """Pairs without acknowledgement that are sent again together, the oldest first."""
 
@@ -104,6 +108,9 @@ class Optimizer:
         self._commands: dict[int, messages.Command] = {}
         self._feedback: dict[int, messages.Feedback] = {}
         self._unacknowledged: dict[int, tuple[messages.Pair, float]] = {}
+        self._tried: defaultdict[int | None, NDArray[np.int64]] = defaultdict(
+            lambda: np.full(config.optimizer.actions, NEVER)
+        )
         self._finishing_s: float | None = None
         self._finished = False
         self._gave_up: dict[str, int] = {}
@@ -189,10 +196,11 @@ class Optimizer:
             self._modes,
             cycle.models,
             gather(before=cycle.perception.reading, note=cycle.note),
-            self._settings.actions,
+            self._tried[cycle.note],
             streams.generator(self._experiment.seed, "optimizer", iteration),
             forced_exploration=iteration < self._settings.random_iterations,
         )
+        self._tried[cycle.note][cycle.choice.action] = iteration
         cycle.acted_s = cycle.sent_s = self._clock()
         self._send_action(cycle)
         return True

@@ -10,6 +10,7 @@ from mdb_services.mechanism.encoding import Channel, Codebook, gather
 from mdb_services.mechanism.network import Network
 
 ACTIONS = 5
+UNTRIED = np.full(ACTIONS, -1)
 CHANNELS = {
     "distance": Channel(low=0.0, high=2.0),
     "next.distance": Channel(low=0.0, high=2.0),
@@ -51,7 +52,7 @@ def rng(seed: int = 0) -> np.random.Generator:
 @given(st.lists(st.integers(-9, 9), min_size=ACTIONS, max_size=ACTIONS), st.integers(0, 1))
 def test_the_action_foreseen_best_is_taken(liked: list[int], note: int) -> None:
     models = brain([value / 10 for value in liked])
-    choice = choose([TAUGHT], models, gather(note=note), ACTIONS, rng())
+    choice = choose([TAUGHT], models, gather(note=note), UNTRIED, rng())
     assert liked[choice.action] == max(liked)
     assert (choice.mode, choice.explored) == ("taught", False)
     assert choice.predicted == pytest.approx(max(liked) / 10, abs=1e-3)
@@ -60,11 +61,11 @@ def test_the_action_foreseen_best_is_taken(liked: list[int], note: int) -> None:
 def test_the_first_mode_whose_inputs_are_there_acts() -> None:
     models = brain([0, 0, 0, 0.5, 0])
     both, seen, nothing = gather(before={"distance": 1.0}, note=0), gather(before={"distance": 1.0}), gather()
-    assert choose([TAUGHT, ALONE], models, both, ACTIONS, rng()).action == 3
-    assert choose([ALONE, TAUGHT], models, both, ACTIONS, rng()).mode == "alone"
-    alone = choose([TAUGHT, ALONE], models, seen, ACTIONS, rng())
+    assert choose([TAUGHT, ALONE], models, both, UNTRIED, rng()).action == 3
+    assert choose([ALONE, TAUGHT], models, both, UNTRIED, rng()).mode == "alone"
+    alone = choose([TAUGHT, ALONE], models, seen, UNTRIED, rng())
     assert (alone.mode, alone.action) == ("alone", 0), "the action that brings it nearest"
-    random = choose([TAUGHT, ALONE], models, nothing, ACTIONS, rng())
+    random = choose([TAUGHT, ALONE], models, nothing, UNTRIED, rng())
     assert (random.mode, random.explored, random.predicted) == (RANDOM, True, None)
 
 
@@ -73,29 +74,29 @@ def test_a_mode_without_one_of_its_models_does_not_act(gone: str) -> None:
     models = {name: model for name, model in brain([0] * ACTIONS).items() if name != gone}
     facts = gather(before={"distance": 1.0})
     assert satisfactions(ALONE, models, facts, ACTIONS) is None
-    assert choose([ALONE], models, facts, ACTIONS, rng()).mode == RANDOM
+    assert choose([ALONE], models, facts, UNTRIED, rng()).mode == RANDOM
 
 
 def test_actions_are_random_over_all_when_no_mode_applies() -> None:
-    taken = {choose([TAUGHT], {}, gather(note=0), ACTIONS, rng(seed)).action for seed in range(100)}
+    taken = {choose([TAUGHT], {}, gather(note=0), UNTRIED, rng(seed)).action for seed in range(100)}
     assert taken == set(range(ACTIONS))
 
 
 def test_an_action_that_the_channel_lacks_makes_the_mode_unusable_and_no_error() -> None:
-    choice = choose([TAUGHT], brain([0] * ACTIONS), gather(note=0), ACTIONS + 1, rng())
+    choice = choose([TAUGHT], brain([0] * ACTIONS), gather(note=0), np.full(ACTIONS + 1, -1), rng())
     assert choice.mode == RANDOM
 
 
 def test_a_note_of_another_language_makes_the_mode_unusable_and_no_error() -> None:
     facts = gather(before={"distance": 1.0}, note=99)
-    assert choose([TAUGHT, ALONE], brain([0] * ACTIONS), facts, ACTIONS, rng()).mode == "alone"
+    assert choose([TAUGHT, ALONE], brain([0] * ACTIONS), facts, UNTRIED, rng()).mode == "alone"
 
 
 @pytest.mark.parametrize(("best", "explores"), [(0.2, True), (0.9, False)])
 def test_below_its_aspiration_a_mode_explores_as_often_as_it_says(best: float, explores: bool) -> None:
     models = brain([0, 0, best, 0, 0])
     mode = Mode("taught", "communication", "feedback", aspiration=0.5, exploration=0.4)
-    choices = [choose([mode], models, gather(note=0), ACTIONS, rng(seed)) for seed in range(500)]
+    choices = [choose([mode], models, gather(note=0), UNTRIED, rng(seed)) for seed in range(500)]
     share = sum(choice.explored for choice in choices) / len(choices)
     assert share == pytest.approx(0.4 if explores else 0.0, abs=0.07)
     assert all(choice.action == 2 for choice in choices if not choice.explored)
@@ -103,10 +104,19 @@ def test_below_its_aspiration_a_mode_explores_as_often_as_it_says(best: float, e
     assert all(choice.predicted == pytest.approx(liked[choice.action], abs=1e-3) for choice in choices)
 
 
+def test_what_was_tried_longest_ago_is_explored() -> None:
+    models = brain([0, 0, 0.2, 0, 0])
+    mode = Mode("taught", "communication", "feedback", aspiration=0.5, exploration=1.0)
+    tried = np.array([40, 7, 50, 3, 9])
+    assert choose([mode], models, gather(note=0), tried, rng()).action == 3
+    tried[[0, 4]] = -1
+    assert {choose([mode], models, gather(note=0), tried, rng(seed)).action for seed in range(50)} == {0, 4}
+
+
 def test_forced_exploration_is_always_random_and_still_says_what_was_foreseen() -> None:
     models = brain([0, 0, 0.9, 0, 0])
     choices = [
-        choose([TAUGHT], models, gather(note=0), ACTIONS, rng(seed), forced_exploration=True) for seed in range(100)
+        choose([TAUGHT], models, gather(note=0), UNTRIED, rng(seed), forced_exploration=True) for seed in range(100)
     ]
     assert {choice.action for choice in choices} == set(range(ACTIONS))
     assert all(choice.explored and choice.mode == "taught" for choice in choices)
@@ -115,6 +125,6 @@ def test_forced_exploration_is_always_random_and_still_says_what_was_foreseen() 
 
 def test_the_same_numbers_are_drawn_whatever_the_modes_are() -> None:
     one, other = rng(), rng()
-    choose([], {}, gather(), ACTIONS, one)
-    choose([TAUGHT, ALONE], brain([0] * ACTIONS), gather(note=0), ACTIONS, other, forced_exploration=True)
+    choose([], {}, gather(), UNTRIED, one)
+    choose([TAUGHT, ALONE], brain([0] * ACTIONS), gather(note=0), UNTRIED, other, forced_exploration=True)
     assert one.random() == other.random()

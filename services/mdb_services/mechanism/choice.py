@@ -23,8 +23,9 @@ RANDOM = "random"
 class Mode:
     """One pair of models that can act. `satisfaction` is a model's name or an output of the world model.
 
-    While the best predicted satisfaction is below `aspiration`, a random action is taken with probability
-    `exploration` (ours: without it a robot that obeys wrongly sees only what it does wrongly).
+    While the best predicted satisfaction is below `aspiration`, the action that was tried longest ago under this
+    command is taken with probability `exploration` (ours: without it a robot that obeys wrongly sees only what it
+    does wrongly, and a uniformly random action can miss the right one for hundreds of iterations).
     """
 
     name: str
@@ -36,7 +37,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class Choice:
-    """The action taken, in which mode, whether at random, and the satisfaction foreseen for it."""
+    """The action taken, in which mode, whether to explore, and the satisfaction foreseen for it."""
 
     action: int
     mode: str
@@ -76,20 +77,28 @@ def choose(
     modes: Sequence[Mode],
     models: Models,
     facts: Facts,
-    actions: int,
+    tried: NDArray[np.int64],
     rng: np.random.Generator,
     *,
     forced_exploration: bool = False,
 ) -> Choice:
-    """Return the choice of the first mode whose inputs are present; a random action when none is."""
-    explores, other = rng.random(), int(rng.integers(actions))
+    """Return the choice of the first mode whose inputs are present; a random action when none is.
+
+    `tried` (actions,) tells the iteration in which each action was last taken under this command. Forced
+    exploration is uniformly random (paper, section 3); a dissatisfied mode explores what was tried longest ago.
+    """
+    explores, other = rng.random(), int(rng.integers(tried.size))
     for mode in modes:
-        foreseen = satisfactions(mode, models, facts, actions)
+        foreseen = satisfactions(mode, models, facts, tried.size)
         if foreseen is None:
             continue
         best = int(np.argmax(foreseen))
         dissatisfied = mode.aspiration is not None and foreseen[best] < mode.aspiration
-        random = forced_exploration or (dissatisfied and explores < mode.exploration)
-        action = other if random else best
-        return Choice(action, mode.name, random, float(foreseen[action]))
+        explored = forced_exploration or (dissatisfied and explores < mode.exploration)
+        action = best
+        if forced_exploration:
+            action = other
+        elif explored:
+            action = int(rng.choice(np.flatnonzero(tried == tried.min())))
+        return Choice(action, mode.name, explored, float(foreseen[action]))
     return Choice(other, RANDOM, True, None)
