@@ -23,7 +23,7 @@ MAX_BYTES = 16 * 2**20
 """Largest payload that is decoded, in bytes."""
 ARRAY_EXT = 1
 """MessagePack extension type of an array: [dtype, shape, raw little-endian bytes]."""
-DTYPES = ("<f4", "<f8", "<i8", "|u1")
+DTYPES = ("<f4", "<f8", "<i2", "<i8", "|u1")
 
 
 def encoding_of(message_type: type[Message]) -> str:

@@ -71,6 +71,14 @@ SCENE = Key("scene", m.Scene, "robot", Delivery.LATEST, "what a bystander sees: 
 ACTION = Key("action", m.Action, "action optimizer", Delivery.LATEST, "the current action")
 COMMAND = Key("teacher/{teacher}/command", m.Command, "that teacher", Delivery.LATCHED, "a note, or silence")
 FEEDBACK = Key("teacher/{teacher}/feedback", m.Feedback, "that teacher", Delivery.LATCHED, "reward or punishment")
+AUDIO = Key(
+    "teacher/{teacher}/audio",
+    m.AudioFrame,
+    "that teacher",
+    Delivery.RELIABLE,
+    "sound, in which notes are to be heard",
+)
+HEARD = Key("heard/{teacher}", m.Command, "ear", Delivery.RELIABLE, "the note heard in a teacher's sound, or silence")
 PHASE = Key("phase", m.Phase, "scripted teacher", Delivery.LATCHED, "the phase of the experiment")
 PAIR = Key(
     "pair",
@@ -144,7 +152,7 @@ ALIVE = Key(
 )
 
 KEYS = (
-    PERCEPTION, SCENE, ACTION, COMMAND, FEEDBACK, PHASE, PAIR, PAIR_STORED, MEMORY_CHANGE, MEMORY_SNAPSHOT,
+    PERCEPTION, SCENE, ACTION, COMMAND, FEEDBACK, AUDIO, HEARD, PHASE, PAIR, PAIR_STORED, MEMORY_CHANGE, MEMORY_SNAPSHOT,
     CONTEXT, CURRENT_MODEL, KEPT_MODEL, ITERATION, TIMING, FINISHED, STATUS, ALIVE,
 )  # fmt: skip
 

@@ -29,6 +29,9 @@ Seeds = Annotated[list["ModelWeights"], Meta(max_length=100)]
 VALUE_BOUND = 1e6
 """Sensor and model values beyond this are refused: no sensor of a robot means them."""
 
+MAX_FRAME = 48_000
+"""Samples in one frame of sound; a second at the highest rate."""
+
 
 def check_finite(what: str, values: Mapping[str, float] | float | None) -> None:
     """Raise ValueError when a number is not finite or is beyond `VALUE_BOUND`."""
@@ -122,14 +125,35 @@ class Command(Message, frozen=True, kw_only=True):
 
 
 class Feedback(Message, frozen=True, kw_only=True):
-    """Reward or punishment in [-1, 1] for the action taken at `iteration`."""
+    """Reward or punishment in [-1, 1] for the action taken at `iteration`; None: not now, perhaps later."""
 
     teacher: Name
     iteration: Iteration
-    value: Annotated[float, Meta(ge=-1, le=1)]
+    value: Annotated[float, Meta(ge=-1, le=1)] | None
 
     def __post_init__(self) -> None:
         check_finite("value", self.value)
+
+
+class AudioFrame(Message, frozen=True, kw_only=True):
+    """A piece of what the teacher's microphone or instrument gives: samples (n,) of 16 bits, mono.
+
+    A note that begins in it is meant for the action of `iteration`. Frames follow one another without a gap;
+    `end` closes an utterance: if no note was in it, the teacher has stayed silent.
+    """
+
+    teacher: Name
+    iteration: Iteration
+    rate_hz: Annotated[int, Meta(ge=8000, le=48000)]
+    samples: np.ndarray
+    end: bool = False
+
+    def __post_init__(self) -> None:
+        check_array("samples", self.samples, "i", 1)
+        if self.samples.dtype != np.int16 or len(self.samples) > MAX_FRAME:
+            raise ValueError(
+                f"samples: got {len(self.samples)} of {self.samples.dtype}; expected at most {MAX_FRAME} of int16"
+            )
 
 
 class Phase(Message, frozen=True, kw_only=True):
@@ -149,7 +173,11 @@ class Action(Message, frozen=True, kw_only=True):
 
 
 class Pair(Message, frozen=True, kw_only=True):
-    """Action-perception pair (paper, section 2.1) of `iteration`; `versions`: the models acted upon."""
+    """Action-perception pair (paper, section 2.1) of `iteration`; `versions`: the models acted upon.
+
+    `teacher` gave the note; `judges` are the authors of the feedback, which is the mean of what they said. A pair
+    without feedback may come again with it, when it came late.
+    """
 
     iteration: Iteration
     before: Reading
@@ -158,6 +186,8 @@ class Pair(Message, frozen=True, kw_only=True):
     after: Reading
     feedback: Annotated[float, Meta(ge=-1, le=1)] | None
     versions: Versions
+    teacher: Name | None = None
+    judges: list[Name] = []
 
     def __post_init__(self) -> None:
         check_finite("before", self.before)
@@ -320,6 +350,11 @@ class IterationReport(Message, frozen=True, kw_only=True):
     event: Event
     prequential: dict[Name, float]
     versions: Versions
+    teacher: Name | None = None
+    """Who was obeyed or is to be: whose note it was."""
+    judges: list[Name] = []
+    holder: Name | None = None
+    """Who holds the word, when only one teacher may; a teacher who reads another name is not heard."""
 
     def __post_init__(self) -> None:
         check_finite("predicted", self.predicted)

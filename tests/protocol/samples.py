@@ -83,6 +83,8 @@ PAIRS = st.builds(
     after=READINGS,
     feedback=st.none() | SHARES,
     versions=VERSIONS,
+    teacher=st.none() | NAMES,
+    judges=st.lists(NAMES, max_size=3),
 )
 LONG_TERM = with_network(
     messages.LongTermModel,
@@ -119,7 +121,15 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         messages.Action, iteration=COUNTS, action=ACTIONS, valid_for_s=st.floats(0, 3600, exclude_min=True)
     ),
     messages.Command: st.builds(messages.Command, teacher=NAMES, iteration=COUNTS, note=NOTES),
-    messages.Feedback: st.builds(messages.Feedback, teacher=NAMES, iteration=COUNTS, value=SHARES),
+    messages.Feedback: st.builds(messages.Feedback, teacher=NAMES, iteration=COUNTS, value=st.none() | SHARES),
+    messages.AudioFrame: st.builds(
+        messages.AudioFrame,
+        teacher=NAMES,
+        iteration=COUNTS,
+        rate_hz=st.integers(8000, 48000),
+        samples=hnp.arrays(np.int16, st.integers(0, 50)),
+        end=st.booleans(),
+    ),
     messages.Phase: st.builds(messages.Phase, iteration=COUNTS, name=st.text(max_size=50), teacher=st.none() | NAMES),
     messages.Pair: PAIRS,
     messages.PairStored: st.builds(messages.PairStored, iteration=COUNTS, versions=VERSIONS),
@@ -154,6 +164,9 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         event=EVENTS,
         prequential=READINGS,
         versions=VERSIONS,
+        teacher=st.none() | NAMES,
+        judges=st.lists(NAMES, max_size=3),
+        holder=st.none() | NAMES,
     ),
     messages.Timing: st.builds(messages.Timing, iteration=COUNTS, perception_to_action_s=FLOATS, cycle_s=FLOATS),
     messages.Finished: st.builds(messages.Finished, iterations=COUNTS),
