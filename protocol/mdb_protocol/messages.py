@@ -196,10 +196,14 @@ class Pair(Message, frozen=True, kw_only=True):
 
 
 class PairStored(Message, frozen=True, kw_only=True):
-    """The pair of `iteration` is on disk; `versions`: each model's short-term memory after it."""
+    """The pair of `iteration` is on disk, with its feedback if `judged`.
+
+    `versions`: each model's short-term memory after it.
+    """
 
     iteration: Iteration
     versions: Versions
+    judged: bool = False
 
 
 class ModelWeights(Message, frozen=True, kw_only=True):

@@ -22,6 +22,7 @@ from mdb_services.mechanism.encoding import Channel, Codebook, Encoding
 from mdb_services.mechanism.ltm import LongTermConfig
 from mdb_services.mechanism.settings import LEARNER_CONFIGS, EvolutionConfig, LearnerConfig
 from mdb_services.mechanism.stm import MemoryConfig
+from mdb_services.teachers import Word
 
 T = TypeVar("T")
 
@@ -104,6 +105,10 @@ class OptimizerSection(Section, frozen=True, kw_only=True):
     command_patience_s: Seconds = 2.0
     """How long a teacher who is there may take for a command before the brain acts on its own."""
     feedback_patience_s: Seconds = 2.0
+    feedback_window: Annotated[int, Meta(ge=1, le=10_000)] = 20
+    """Feedback that comes so many iterations late is still credited to the iteration it names."""
+    word: Word = "first"
+    """Of several teachers: "first", who comes first holds the word; "all", whoever speaks first each time."""
     lockstep_patience_s: Seconds = 60.0
     """How long a lockstep run waits for a model before it goes on with the one it has."""
     resend_s: Seconds = 0.5

@@ -95,10 +95,13 @@ class MemoryFile:
         )
 
     def add(self, pair: messages.Pair, stored: messages.PairStored, effects: Iterable[Effects]) -> None:
-        """Write a pair with its acknowledgement and all that it did, in one transaction."""
+        """Write a pair with its acknowledgement and all that it did, in one transaction.
+
+        It takes the place of the same pair without feedback.
+        """
         with self._transaction():
             row = (pair.iteration, codec.encode(pair), codec.encode(stored))
-            self._db.execute("INSERT INTO pair VALUES (?, ?, ?)", row)
+            self._db.execute("INSERT OR REPLACE INTO pair VALUES (?, ?, ?)", row)
             for effect in effects:
                 self._write(effect)
 
@@ -143,6 +146,11 @@ class MemoryFile:
         row = self._db.execute("SELECT stored FROM pair WHERE iteration = ?", (iteration,)).fetchone()
         encoding = codec.encoding_of(messages.PairStored)
         return codec.decode(messages.PairStored, row[0], encoding) if row else None
+
+    def pair(self, iteration: int) -> messages.Pair | None:
+        """Return a pair that is on disk, or None."""
+        row = self._db.execute("SELECT payload FROM pair WHERE iteration = ?", (iteration,)).fetchone()
+        return codec.decode(messages.Pair, row[0], codec.encoding_of(messages.Pair)) if row else None
 
     def count(self) -> int:
         """Return how many pairs are on disk."""

@@ -44,6 +44,7 @@ class MemoryStore:
         self._kept: dict[str, messages.CurrentModel] = {}
         self._duplicates = 0
         self._waiting: messages.Pair | None = None
+        self._after_late_feedback: dict[str, int] = {}
         self._waiting_since_s = 0.0
         self._gave_up = 0
         self._restore()
@@ -108,11 +109,15 @@ class MemoryStore:
         return True
 
     def _has_models_of(self, pair: messages.Pair) -> bool:
-        """Whether the models that the optimizer acted upon have come (lockstep: same errors every run)."""
+        """Whether the models that the optimizer acted upon have come (lockstep: same errors every run).
+
+        A late feedback has changed memories since: its models are awaited, too.
+        """
         if not self._lockstep:
             return True
         have = {name: model.version for name, model in self._kept.items()}
-        return all(have.get(name, 0) >= version for name, version in pair.versions.items() if name in self._memories)
+        awaited = {**pair.versions, **self._after_late_feedback}
+        return all(have.get(name, 0) >= version for name, version in awaited.items() if name in self._memories)
 
     def _remember(self, model: messages.CurrentModel) -> bool:
         memory = self._memories.get(model.model)
@@ -132,12 +137,13 @@ class MemoryStore:
 
     def _store(self, pair: messages.Pair) -> None:
         stored = self._file.stored(pair.iteration)
-        if stored is not None:
+        unjudged = self._file.pair(pair.iteration) if stored and not stored.judged else None
+        if stored is not None and (unjudged is None or pair.feedback is None):
             self._duplicates += 1
             self._stored.put(stored)
             return
         try:
-            effects, stored = self._enter(pair)
+            effects, stored = self._enter(pair, unjudged)
         except BaseException:  # what is not on disk must not be in memory either
             self._restore()
             raise
@@ -147,13 +153,19 @@ class MemoryStore:
             for event in effect.events:
                 self._contexts[event.model].put(event)
         self._stored.put(stored)
+        if unjudged is not None:
+            self._after_late_feedback = stored.versions
 
-    def _enter(self, pair: messages.Pair) -> tuple[list[Effects], messages.PairStored]:
-        """Put a pair into the memories and on disk."""
-        entered = (memory.enter(pair, self._recalled_ids) for memory in self._memories.values())
+    def _enter(
+        self, pair: messages.Pair, unjudged: messages.Pair | None
+    ) -> tuple[list[Effects], messages.PairStored]:
+        """Put a pair into the memories and on disk; `unjudged`: as it is there already, before its feedback came."""
+        memories = [m for m in self._memories.values() if unjudged is None or not m.reads(unjudged)]
+        entered = (memory.enter(pair, self._recalled_ids) for memory in memories)
         effects = [effect for effect in entered if effect is not None]
         versions = {name: memory.stm.version for name, memory in self._memories.items()}
-        stored = messages.PairStored(iteration=pair.iteration, versions=versions)
+        judged = pair.feedback is not None
+        stored = messages.PairStored(iteration=pair.iteration, versions=versions, judged=judged)
         self._file.add(pair, stored, effects)
         return effects, stored
 

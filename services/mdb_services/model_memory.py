@@ -116,6 +116,10 @@ class ModelMemory:
         inputs, targets = self.codebook.input_rows(facts), self.codebook.target_rows(facts)
         return None if inputs is None or targets is None else (inputs, targets)
 
+    def reads(self, pair: messages.Pair) -> bool:
+        """Whether a pair has all that this model's rows consist of."""
+        return self._rows(pair) is not None
+
     def enter(self, pair: messages.Pair, recalled_ids: Iterator[int]) -> Effects | None:
         """Take a pair in; return what it did, None when it lacks a variable or is stored already.
 

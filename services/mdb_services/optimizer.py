@@ -12,8 +12,8 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import TypeVar
 
+import msgspec
 import numpy as np
 import structlog
 from numpy.typing import NDArray
@@ -25,17 +25,13 @@ from mdb_services.mechanism import streams
 from mdb_services.mechanism.choice import Choice, choose
 from mdb_services.mechanism.encoding import Codebook, Facts, gather
 from mdb_services.mechanism.network import Network
+from mdb_services.teachers import Teachers
 
 log = structlog.get_logger()
 
-T = TypeVar("T", messages.Command, messages.Feedback)
-
 ROLE = "optimizer"
-TEACHER_ROLE = "teacher"
 ENDING_S = 5.0
 """Bound on waiting for the last acknowledgements before the experiment is called finished."""
-KEPT_AHEAD = 256
-"""Commands, and feedback, that are kept for iterations to come; beyond it the farthest ahead is dropped."""
 NEVER = -1
 """In place of an iteration, for an action that was not tried yet."""
 RESENT_AT_ONCE = 100
@@ -52,7 +48,7 @@ class _Cycle:
     begun_s: float
     """When the cycle before was done: from here on a command is awaited."""
     gave_up: set[str] = field(default_factory=set)
-    note: int | None = None
+    command: messages.Command | None = None
     choice: Choice | None = None
     models: dict[str, tuple[Codebook, Network]] = field(default_factory=dict)
     versions: dict[str, int] = field(default_factory=dict)
@@ -60,6 +56,16 @@ class _Cycle:
     sent_s: float = 0.0
     outcome: messages.Perception | None = None
     outcome_s: float = 0.0
+
+    @property
+    def note(self) -> int | None:
+        """The note of the teacher who is obeyed, or None."""
+        return self.command.note if self.command else None
+
+    @property
+    def teacher(self) -> str | None:
+        """The teacher who is obeyed, or None."""
+        return self.command.teacher if self.command else None
 
 
 @dataclass
@@ -105,8 +111,9 @@ class Optimizer:
         self._required: dict[str, int] = {}
         self._cycle: _Cycle | None = None
         self._next = 0
-        self._commands: dict[int, messages.Command] = {}
-        self._feedback: dict[int, messages.Feedback] = {}
+        self._teachers = Teachers(config.optimizer.word)
+        self._unjudged: dict[int, messages.Pair] = {}
+        """The pairs within `feedback_window` that have no feedback yet."""
         self._unacknowledged: dict[int, tuple[messages.Pair, float]] = {}
         self._tried: defaultdict[int | None, NDArray[np.int64]] = defaultdict(
             lambda: np.full(config.optimizer.actions, NEVER)
@@ -116,7 +123,7 @@ class Optimizer:
         self._gave_up: dict[str, int] = {}
         self._model_inbox = bus.subscriber(keys.CURRENT_MODEL)
         self._perceptions = bus.subscriber(keys.PERCEPTION)
-        self._command_inbox = bus.subscriber(keys.COMMAND)
+        self._command_inboxes = bus.subscriber(keys.COMMAND), bus.subscriber(keys.HEARD)
         self._feedback_inbox = bus.subscriber(keys.FEEDBACK)
         self._stored = bus.subscriber(keys.PAIR_STORED)
         self._actions = bus.publisher(keys.ACTION)
@@ -145,29 +152,45 @@ class Optimizer:
         while (model := self._model_inbox.take()) is not None:
             if (reason := self._models.take(model)) is not None:
                 self.bus.refusals.add(keys.CURRENT_MODEL.path, reason)
-        while (command := self._command_inbox.take()) is not None:
-            self._hear(command)
+        for inbox in self._command_inboxes:
+            while (command := inbox.take()) is not None:
+                self._hear(command)
         while (feedback := self._feedback_inbox.take()) is not None:
-            self._keep(self._feedback, feedback)
+            self._judge(feedback)
         while (stored := self._stored.take()) is not None:
-            self._unacknowledged.pop(stored.iteration, None)
-            self._required = stored.versions
+            self._acknowledge(stored)
         if (perception := self._perceptions.take()) is not None:
             self._perceive(perception)
+
+    def _acknowledge(self, stored: messages.PairStored) -> None:
+        """Take a pair for stored, unless it is what it was before late feedback that is on disk."""
+        sent = self._unacknowledged.get(stored.iteration)
+        if sent is not None and (stored.judged or sent[0].feedback is None):
+            del self._unacknowledged[stored.iteration]
+        self._required = stored.versions
 
     def _hear(self, command: messages.Command) -> None:
         if command.note is not None and self._notes is not None and command.note >= self._notes:
             reason = f"note {command.note} of teacher {command.teacher}; channels.note has {self._notes} notes"
             self.bus.refusals.add(keys.COMMAND.path, reason)
-        else:
-            self._keep(self._commands, command)
+        elif command.iteration >= self._next:
+            self._teachers.hear(command)
 
-    def _keep(self, kept: dict[int, T], message: T) -> None:
-        """Keep the first message for an iteration that is not over."""
-        if message.iteration >= self._next:
-            kept.setdefault(message.iteration, message)
-        if len(kept) > KEPT_AHEAD:
-            del kept[max(kept)]
+    def _judge(self, feedback: messages.Feedback) -> None:
+        """Keep feedback for the iteration it names; credit it at once to a pair that is formed already."""
+        if feedback.iteration < self._next and feedback.iteration not in self._unjudged:
+            if feedback.iteration < self._next - self._settings.feedback_window:
+                reason = f"feedback of {feedback.teacher} for iteration {feedback.iteration}; now is {self._next}"
+                self.bus.refusals.add(keys.FEEDBACK.path, reason)
+            return
+        self._teachers.judge(feedback)
+        pair = self._unjudged.get(feedback.iteration)
+        if pair is None:
+            return
+        value, judges = self._teachers.verdict(pair.iteration, pair.teacher)
+        if value is not None:
+            del self._unjudged[pair.iteration]
+            self._send_pair(msgspec.structs.replace(pair, feedback=value, judges=judges))
 
     def _perceive(self, perception: messages.Perception) -> None:
         """Take the outcome of the action, or begin where the robot is when it is further than that."""
@@ -189,8 +212,7 @@ class Optimizer:
             return True
         if not (self._command_is_in(cycle) and self._models_are_in(cycle)):
             return False
-        command = self._commands.get(iteration)
-        cycle.note = command.note if command else None
+        cycle.command = self._teachers.word(iteration)
         cycle.models, cycle.versions = dict(self._models.usable), dict(self._models.versions)
         cycle.choice = choose(
             self._modes,
@@ -206,7 +228,7 @@ class Optimizer:
         return True
 
     def _command_is_in(self, cycle: _Cycle) -> bool:
-        if cycle.perception.iteration in self._commands or not self._teacher_is_there():
+        if self._teachers.settled(cycle.perception.iteration, self.bus.alive()):
             return True
         return self._time_is_up(cycle, "command", cycle.begun_s, self._settings.command_patience_s)
 
@@ -218,9 +240,6 @@ class Optimizer:
         ):
             return True
         return self._time_is_up(cycle, "models", cycle.begun_s, self._settings.lockstep_patience_s)
-
-    def _teacher_is_there(self) -> bool:
-        return any(name.startswith(f"{TEACHER_ROLE}/") for name in self.bus.alive())
 
     def _time_is_up(self, cycle: _Cycle, what: str, since_s: float, patience_s: float) -> bool:
         """Whether to go on without; in lockstep, where a slow machine must not change the run, not before its own."""
@@ -256,30 +275,41 @@ class Optimizer:
         assert cycle.choice is not None
         assert cycle.outcome is not None
         if (
-            cycle.note is not None
-            and iteration not in self._feedback
-            and self._teacher_is_there()
+            not self._teachers.answered(iteration, cycle.teacher)
+            and self._teachers.is_there(cycle.teacher, self.bus.alive())
             and not self._time_is_up(cycle, "feedback", cycle.outcome_s, self._settings.feedback_patience_s)
         ):
             return False
-        feedback = self._feedback.get(iteration)
+        value, judges = self._teachers.verdict(iteration, cycle.teacher)
         pair = messages.Pair(
             iteration=iteration,
             before=cycle.perception.reading,
             note=cycle.note,
             action=cycle.choice.action,
             after=cycle.outcome.outcome,
-            feedback=feedback.value if feedback else None,
+            feedback=value,
             versions=cycle.versions,
+            teacher=cycle.teacher,
+            judges=judges,
         )
-        self._unacknowledged[iteration] = pair, self._clock()
-        self._pairs.put(pair)
+        self._send_pair(pair)
         self._report(cycle, pair)
         self._next = iteration + 1
-        self._commands = {i: c for i, c in self._commands.items() if i >= self._next}
-        self._feedback = {i: f for i, f in self._feedback.items() if i >= self._next}
+        self._remember(pair)
         self._cycle = _Cycle(cycle.outcome, cycle.outcome_s, self._clock())
         return True
+
+    def _send_pair(self, pair: messages.Pair) -> None:
+        self._unacknowledged[pair.iteration] = pair, self._clock()
+        self._pairs.put(pair)
+
+    def _remember(self, pair: messages.Pair) -> None:
+        """Keep a pair as long as feedback may still come for it."""
+        if pair.feedback is None:
+            self._unjudged[pair.iteration] = pair
+        oldest = self._next - self._settings.feedback_window
+        self._unjudged = {i: kept for i, kept in self._unjudged.items() if i >= oldest}
+        self._teachers.forget(before=self._next, feedback_before=oldest)
 
     def _report(self, cycle: _Cycle, pair: messages.Pair) -> None:
         assert cycle.choice is not None
@@ -297,6 +327,9 @@ class Optimizer:
                 event=cycle.outcome.event,
                 prequential=_prequential(cycle.models, pair),
                 versions=pair.versions,
+                teacher=pair.teacher,
+                judges=pair.judges,
+                holder=self._teachers.holder,
             )
         )
         self._timings.put(

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from mdb_services.config import Name, Section
+from mdb_services.config import Name, Probability, Section
 from mdb_services.mechanism import streams
 from mdb_sim.robot import Placement, RobotConfig
 from mdb_sim.teacher import FEEDBACKS, FeedbackKind, Language, TeacherError, make_language, wanted_action
@@ -30,6 +30,12 @@ class PhaseSection(Section, frozen=True, kw_only=True):
     teacher: Name | None = None
     language: str | None = None
     """"random", or any language of `teacher.make_language`; the same teacher keeps it in later phases."""
+    wrong_notes: Probability = 0.0
+    """How often the teacher plays another note than the one meant."""
+    wrong_feedback: Probability = 0.0
+    """How often the teacher rewards for punishing, and the other way round."""
+    delay: Annotated[int, Meta(ge=0, le=1000)] = 0
+    """So many iterations late comes the feedback."""
 
 
 class TeacherSection(Section, frozen=True, kw_only=True):
@@ -47,6 +53,9 @@ class Phase:
     name: str
     teacher: str | None
     language: Language | None
+    wrong_notes: float = 0.0
+    wrong_feedback: float = 0.0
+    delay: int = 0
 
 
 @dataclass(frozen=True)
@@ -56,6 +65,7 @@ class Schedule:
     phases: tuple[Phase, ...]
     turns_rad: tuple[float, ...]
     feedback: FeedbackKind
+    seed: int
 
     def at(self, iteration: int) -> Phase:
         """Return the phase of an iteration."""
@@ -65,9 +75,23 @@ class Schedule:
         """Return the action that a teacher commands here."""
         return wanted_action(placement, self.turns_rad)
 
-    def judge(self, placement: Placement, action: int) -> float:
-        """Return the feedback for an action done at this placement."""
-        return FEEDBACKS[self.feedback](self.wanted(placement), action, self.turns_rad)
+    def note(self, iteration: int, placement: Placement) -> int | None:
+        """Return the note that is played for an iteration that begins here; None: nobody teaches."""
+        phase = self.at(iteration)
+        if phase.language is None:
+            return None
+        note = phase.language.note(self.wanted(placement))
+        rng = streams.generator(self.seed, "teacher/note", iteration)
+        if rng.random() < phase.wrong_notes:
+            others = [other for other in phase.language.notes if other != note]
+            note = int(rng.choice(others))
+        return note
+
+    def judge(self, iteration: int, placement: Placement, action: int) -> float:
+        """Return the feedback for an action done in an iteration that began here."""
+        value = FEEDBACKS[self.feedback](self.wanted(placement), action, self.turns_rad)
+        mistaken = streams.generator(self.seed, "teacher/feedback", iteration).random()
+        return -value if mistaken < self.at(iteration).wrong_feedback else value
 
 
 def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Schedule:
@@ -86,8 +110,9 @@ def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Sched
         if phase.teacher is not None and phase.teacher not in languages:
             raise TeacherError(f"phase {phase.name!r}: teacher {phase.teacher!r} needs a language")
         language = languages[phase.teacher] if phase.teacher else None
-        phases.append(Phase(phase.start, phase.name, phase.teacher, language))
-    return Schedule(tuple(phases), world.turns_rad, section.feedback)
+        mistakes = phase.wrong_notes, phase.wrong_feedback, phase.delay
+        phases.append(Phase(phase.start, phase.name, phase.teacher, language, *mistakes))
+    return Schedule(tuple(phases), world.turns_rad, section.feedback, seed)
 
 
 def _language(name: str, teacher: str, seed: int, world: RobotConfig, taken: list[tuple[int, ...]]) -> Language:

@@ -132,7 +132,7 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
     messages.Phase: st.builds(messages.Phase, iteration=COUNTS, name=st.text(max_size=50), teacher=st.none() | NAMES),
     messages.Pair: PAIRS,
-    messages.PairStored: st.builds(messages.PairStored, iteration=COUNTS, versions=VERSIONS),
+    messages.PairStored: st.builds(messages.PairStored, iteration=COUNTS, versions=VERSIONS, judged=st.booleans()),
     messages.MemoryChange: memories(
         messages.MemoryChange,
         freed=st.integers(0, 4).flatmap(indices),

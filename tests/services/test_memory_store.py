@@ -279,3 +279,36 @@ def test_the_concurrent_pace_never_waits_for_models(make_rig: MakeRig) -> None:
     rig = make_rig()
     rig.give(pair(0, versions={"object": 99}))
     assert len(taken(rig.stored)) == 1
+
+
+def test_late_feedback_enters_only_the_memories_that_lacked_it_and_stays_after_a_restart(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.give(pair(0, feedback=None), pair(1))
+    taken(rig.changes), taken(rig.stored)
+    rig.give(pair(0, feedback=0.5, judges=["anna"]), pair(0, feedback=-1.0), pair(0, feedback=None))
+    assert [inserted(c) for c in taken(rig.changes)] == [("communication", 0, 2)]
+    answers = taken(rig.stored)
+    assert [(a.iteration, a.judged, a.versions) for a in answers] == [
+        (0, True, {"communication": 2, "object": 2})
+    ] * 3, "the second feedback, and the pair as it was, are answered and change nothing"
+    before = [memory.snapshot() for memory in rig.store._memories.values()]
+    rig.store.close()
+    again = make_rig()
+    assert again.store.values()["pairs"] == 2
+    for old, new in zip(before, (m.snapshot() for m in again.store._memories.values()), strict=True):
+        assert codec.encode(old) == codec.encode(new)
+    kept = again.store._file.pair(0)
+    assert kept is not None
+    assert (kept.feedback, kept.judges) == (0.5, ["anna"])
+
+
+def test_in_lockstep_the_next_pair_waits_for_what_was_learnt_from_late_feedback(make_rig: MakeRig) -> None:
+    rig = make_rig(config(experiment=LOCKSTEP))
+    rig.give(pair(0, feedback=None))
+    rig.give(pair(0, feedback=0.5))
+    taken(rig.stored)
+    rig.give(pair(1))
+    assert taken(rig.stored) == []
+    for name in ("object", "communication"):
+        rig.show(model(name, 1))
+    assert [answer.iteration for answer in taken(rig.stored)] == [1]

@@ -90,7 +90,7 @@ def test_a_full_cycle_gives_the_action_the_pair_and_the_report() -> None:
     (pair,) = rig.said(keys.PAIR)
     assert pair == messages.Pair(
         iteration=0, before={"distance": 1.5}, note=2, action=action.action, after={"distance": 1.2}, feedback=-0.5,
-        versions={"communication": 3},
+        versions={"communication": 3}, teacher="anna", judges=["anna"],
     )  # fmt: skip
     (report,) = rig.said(keys.ITERATION)
     assert (report.iteration, report.mode, report.note, report.feedback) == (0, "taught", 2, -0.5)
@@ -243,8 +243,8 @@ def test_a_flood_of_commands_and_rewards_to_come_needs_bounded_memory() -> None:
     for i in range(3000, 0, -1):
         rig.command(i)
         rig.reward(i)
-    assert len(rig.optimizer._commands) <= 1000
-    assert len(rig.optimizer._feedback) <= 1000
+    assert len(rig.optimizer._teachers._commands) <= 1000
+    assert len(rig.optimizer._teachers._feedback) <= 1000
     rig.sense(1)
     rig.sense(2)
     assert [(p.iteration, p.note, p.feedback) for p in rig.said(keys.PAIR)] == [(1, 1, 1.0)], "the next ones are kept"
@@ -393,3 +393,72 @@ def test_an_optimizer_that_starts_at_the_end_says_so() -> None:
     rig.sense(5)
     assert len(rig.said(keys.FINISHED)) == 1
     assert rig.said(keys.ACTION) == []
+
+
+def judged(pair: messages.Pair) -> tuple[int, float | None, list[str]]:
+    return pair.iteration, pair.feedback, pair.judges
+
+
+def test_late_feedback_is_credited_to_the_iteration_it_names() -> None:
+    rig = Rig()
+    for i in range(3):
+        rig.sense(i)
+        rig.command(i)
+        rig.sense(i + 1)
+        rig.wait(PATIENCE_S + 0.1)
+    assert [judged(p) for p in rig.said(keys.PAIR) if p.feedback is not None] == []
+    rig.reward(1, -0.5)
+    (pair,) = rig.said(keys.PAIR)
+    assert judged(pair) == (1, -0.5, ["anna"])
+    rig.reward(1, 1.0)
+    rig.reward(0, 1.0, teacher="ben")
+    assert rig.said(keys.PAIR) == [], "once, and only by the teacher who was obeyed"
+
+
+def test_a_pair_is_sent_until_it_is_stored_with_its_late_feedback() -> None:
+    rig = Rig()
+    rig.sense(0)
+    rig.command(0)
+    rig.sense(1)
+    rig.wait(PATIENCE_S + 0.1)
+    rig.reward(0, 1.0)
+    rig.said(keys.PAIR)
+    rig.store(0)
+    rig.command(1, None)
+    rig.wait(RESEND_S + 0.1)
+    assert judged(rig.said(keys.PAIR)[0]) == (0, 1.0, ["anna"])
+    rig.say(keys.PAIR_STORED, messages.PairStored(iteration=0, versions={}, judged=True))
+    rig.wait(3 * RESEND_S)
+    assert rig.said(keys.PAIR) == []
+
+
+def test_feedback_for_what_is_long_over_is_counted_and_dropped() -> None:
+    rig = Rig(config(optimizer=OPTIMIZER | {"feedback_window": 2}), teacher=False)
+    for i in range(6):
+        rig.sense(i)
+    rig.said(keys.PAIR)
+    rig.reward(1)
+    assert (rig.said(keys.PAIR), rig.refused(keys.FEEDBACK)) == ([], 1)
+    rig.reward(3)
+    assert [judged(p) for p in rig.said(keys.PAIR)] == [(3, 1.0, ["anna"])]
+
+
+def test_the_report_says_who_was_heard_and_who_holds_the_word() -> None:
+    rig = Rig()
+    rig.presence.token("teacher", "ben")
+    rig.sense(0)
+    rig.command(0, 2, teacher="ben")
+    rig.command(0, 1)
+    rig.sense(1)
+    rig.reward(0, 0.5, teacher="ben")
+    (report,) = rig.said(keys.ITERATION)
+    assert (report.teacher, report.note, report.judges, report.holder) == ("ben", 2, ["ben"], "ben")
+
+
+def test_a_note_that_the_ear_heard_is_a_command() -> None:
+    rig = Rig()
+    rig.sense(0)
+    rig.say(keys.HEARD, messages.Command(teacher="anna", iteration=0, note=2), teacher="anna")
+    rig.sense(1)
+    rig.reward(0)
+    assert [(p.note, p.teacher) for p in rig.said(keys.PAIR)] == [(2, "anna")]

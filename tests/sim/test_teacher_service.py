@@ -76,7 +76,8 @@ def test_phases_change_teacher_and_language_and_the_last_action_is_still_judged_
     for iteration in range(6):
         rig.show(scene(iteration))
     assert [(c.teacher, c.iteration, c.note) for c in rig.said(keys.COMMAND)] == [
-        ("one", 0, 0), ("one", 1, 0), ("script", 2, None), ("script", 3, None), ("two", 4, 6), ("two", 5, 6),
+        ("one", 0, 0), ("one", 1, 0), ("one", 2, None), ("script", 2, None), ("script", 3, None), ("two", 4, 6),
+        ("two", 5, 6),
     ]  # fmt: skip
     assert [(f.teacher, f.iteration) for f in rig.said(keys.FEEDBACK)] == [("one", 0), ("one", 1), ("two", 4)]
     assert [(p.iteration, p.name, p.teacher) for p in rig.said(keys.PHASE)] == [
@@ -110,4 +111,41 @@ def test_a_teacher_may_have_any_name(name: str) -> None:
     rig = Rig([{"start": 0, "name": "p", "teacher": name, "language": "paper"}, {"start": 1, "name": "alone"}])
     rig.show(scene(0))
     rig.show(scene(1))
-    assert [(c.teacher, c.note) for c in rig.said(keys.COMMAND)] == [(name, 0), ("script", None)]
+    assert [(c.teacher, c.note) for c in rig.said(keys.COMMAND)] == [(name, 0), (name, None), ("script", None)]
+
+
+def only(**mistakes: Any) -> list[dict[str, Any]]:
+    return [{"start": 0, "name": "p", "teacher": "one", "language": "paper", **mistakes}]
+
+
+def test_a_teacher_mistakes_notes_as_often_as_the_file_says() -> None:
+    rig = Rig(only(wrong_notes=0.25))
+    for iteration in range(400):
+        rig.show(scene(iteration))
+    notes = [c.note for c in rig.said(keys.COMMAND)]
+    wrong = [note for note in notes if note != 0]
+    assert len(wrong) / len(notes) == pytest.approx(0.25, abs=0.06)
+    assert set(wrong) == {1, 2, 3, 4, 5, 6}
+    assert all(f.value == 1.0 for f in rig.said(keys.FEEDBACK)), "he means what he meant, and judges by it"
+    again = Rig(only(wrong_notes=0.25))
+    again.show(scene(399))
+    assert again.said(keys.COMMAND)[0].note == notes[399], "the same whenever the teacher was started"
+
+
+def test_a_teacher_mistakes_punishment_for_reward_as_often_as_the_file_says() -> None:
+    rig = Rig(only(wrong_feedback=0.25))
+    for iteration in range(401):
+        rig.show(scene(iteration))
+    values = [f.value for f in rig.said(keys.FEEDBACK)]
+    assert values.count(-1.0) + values.count(1.0) == 400
+    assert values.count(-1.0) / 400 == pytest.approx(0.25, abs=0.06)
+
+
+def test_a_late_teacher_says_not_now_and_judges_so_many_iterations_later() -> None:
+    rig = Rig([*only(delay=2), {"start": 3, "name": "alone"}])
+    for iteration in range(6):
+        rig.show(scene(iteration))
+    assert [(f.iteration, f.value) for f in rig.said(keys.FEEDBACK)] == [
+        (0, None), (1, None), (0, 1.0), (2, None), (1, 1.0), (2, 1.0),
+    ]  # fmt: skip
+    assert rig.teacher.values()["rewards"] == 3

@@ -1,0 +1,114 @@
+"""What the teachers said, and whose word counts: one service's view of all who teach.
+
+Owns the policy of several teachers. Pure: the optimizer hands in what came and who is alive, and asks.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+from mdb_protocol import messages
+
+Word = Literal["first", "all"]
+"""first: who comes first holds the word until he is silent or gone; all: the first note of each iteration counts."""
+
+ROLE = "teacher"
+KEPT_AHEAD = 256
+"""Iterations to come for which something is kept; beyond it the farthest ahead is dropped."""
+KEPT_TEACHERS = 64
+"""Teachers heard for one iteration; who comes later is not."""
+
+
+class Verdict(NamedTuple):
+    """Feedback in [-1, 1], the mean of what its authors said, or None."""
+
+    value: float | None
+    judges: list[str]
+
+
+class Teachers:
+    """See the module's docstring."""
+
+    def __init__(self, word: Word) -> None:
+        self.holder: str | None = None
+        """Who holds the word; always None where all are heard."""
+        self._first_only = word == "first"
+        self._commands: dict[int, dict[str, messages.Command]] = {}
+        self._feedback: dict[int, dict[str, float | None]] = {}
+        self._seen: set[str] = set()
+
+    def hear(self, command: messages.Command) -> None:
+        """Keep a teacher's first command for an iteration."""
+        said = self._commands.setdefault(command.iteration, {})
+        if len(said) < KEPT_TEACHERS:
+            said.setdefault(command.teacher, command)
+        _bound(self._commands)
+
+    def judge(self, feedback: messages.Feedback) -> None:
+        """Keep a teacher's first feedback for an iteration; what he said instead of "not now" counts."""
+        said = self._feedback.setdefault(feedback.iteration, {})
+        if said.get(feedback.teacher) is None and (feedback.teacher in said or len(said) < KEPT_TEACHERS):
+            said[feedback.teacher] = feedback.value
+        _bound(self._feedback)
+
+    def settled(self, iteration: int, alive: frozenset[str]) -> bool:
+        """Whether nothing would be gained by waiting longer for a command; `alive` as of `Bus.alive`."""
+        present = {name for name in alive if name.startswith(f"{ROLE}/")}
+        self._seen |= present
+        said = self._commands.get(iteration, {})
+        if self.holder is not None and self._is_gone(self.holder, present):
+            self.holder = None
+        if self.holder is not None:
+            return self.holder in said
+        return any(command.note is not None for command in said.values()) or len(said) >= len(present)
+
+    def _is_gone(self, teacher: str, present: set[str]) -> bool:
+        """A scripted teacher has no token of its own, only its process has: it goes when nobody is left."""
+        token = f"{ROLE}/{teacher}"
+        return not present or (token in self._seen and token not in present)
+
+    def is_there(self, teacher: str | None, alive: frozenset[str]) -> bool:
+        """Whether it makes sense to wait for what this teacher thinks."""
+        present = {name for name in alive if name.startswith(f"{ROLE}/")}
+        return teacher is not None and not self._is_gone(teacher, present)
+
+    def word(self, iteration: int) -> messages.Command | None:
+        """Return the command that counts, None for silence; who holds the word is decided here.
+
+        A holder who was silent, or whose time was up, loses the word to the first other one with a note.
+        """
+        said = self._commands.get(iteration, {})
+        if self.holder is not None:
+            his = said.get(self.holder)
+            if his is not None and his.note is not None:
+                return his
+            self.holder = None
+        taken = next((command for command in said.values() if command.note is not None), None)
+        if taken is not None and self._first_only:
+            self.holder = taken.teacher
+        return taken
+
+    def answered(self, iteration: int, teacher: str | None) -> bool:
+        """Whether the teacher who commanded has said what he thinks of it, or that he will later."""
+        return teacher is None or teacher in self._feedback.get(iteration, {})
+
+    def verdict(self, iteration: int, teacher: str | None) -> Verdict:
+        """Return the feedback for an iteration in which `teacher` commanded (None: nobody).
+
+        Where only one holds the word, only he who commanded judges; what the robot did of itself, the first does.
+        """
+        said = {who: v for who, v in self._feedback.get(iteration, {}).items() if v is not None}
+        if self._first_only:
+            judge = teacher if teacher is not None else self.holder or next(iter(said), None)
+            said = {who: v for who, v in said.items() if who == judge}
+        return Verdict(sum(said.values()) / len(said), list(said)) if said else Verdict(None, [])
+
+    def forget(self, before: int, feedback_before: int) -> None:
+        """Drop commands for iterations below `before` and feedback for those below `feedback_before`."""
+        self._commands = {i: said for i, said in self._commands.items() if i >= before}
+        self._feedback = {i: said for i, said in self._feedback.items() if i >= feedback_before}
+
+
+def _bound(kept: dict[int, dict[str, messages.Command]] | dict[int, dict[str, float | None]]) -> None:
+    if len(kept) > KEPT_AHEAD:
+        del kept[max(kept)]
