@@ -13,9 +13,11 @@ from pathlib import Path
 
 import structlog
 
+from mdb_deploy.access import ACCESS_FILE
+from mdb_protocol import endpoints
 from mdb_protocol.bus import Bus
-from mdb_protocol.errors import ConfigError
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.errors import BusError, ConfigError
+from mdb_protocol.zenoh_bus import Router, RouterKeys, ZenohBus
 from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.service import Service, Stopper, run
 from mdb_sim.experiment import Experiment
@@ -27,31 +29,94 @@ ENDPOINT_FILE = "router.endpoint"
 EVOLVER_NICE = 5
 """Learning gives way to acting when both want the same core."""
 CONNECT_S = 10.0
+PORT_FREE_S = 5.0
 
 
-def run_router(run_folder: Path | None, listen: str | None, stop: Stopper) -> None:
-    """Route until told to stop; writes the endpoint, with the port it got, into the run folder."""
-    router = Router(ROUTER_CONFIG, listen)
-    endpoint = router.endpoint()
+@dataclass(frozen=True)
+class RouterOptions:
+    """What the command line says of the router: run folder, endpoint, key folder, whether it is open to everyone."""
+
+    run: Path | None
+    listen: str | None
+    keys: Path | None = None
+    open_to_everyone: bool = False
+
+
+def run_router(options: RouterOptions, stop: Stopper) -> None:
+    """Route until told to stop; writes where this machine's clients connect into the run folder.
+
+    When the access control has changed it begins anew on the same port: Zenoh reads it only at the start. Clients
+    come back by themselves, within half a second; who is no longer admitted stays out.
+    """
+    listen, changed = options.listen, _changes(options.keys)
+    bound_s = 0.0
+    while not stop():
+        router = _router(options, listen, bound_s)
+        endpoint = router.endpoint()
+        listen, bound_s = endpoints.with_port_of(router.listen, endpoint), PORT_FREE_S
+        _say_where(options.run, endpoint)
+        log.info("routing", endpoint=endpoint, listen=listen)
+        while not stop() and not changed():
+            time.sleep(0.05)
+        router.close()
+
+
+def _router(options: RouterOptions, listen: str | None, bound_s: float) -> Router:
+    """Start a router, trying again within the bound: its predecessor's port is free a moment after it has closed."""
+    deadline = time.monotonic() + bound_s
+    while True:
+        try:
+            return Router(
+                ROUTER_CONFIG, listen, keys=_keys(options, listen), open_to_everyone=options.open_to_everyone
+            )
+        except BusError:
+            if time.monotonic() >= deadline:
+                raise
+            time.sleep(0.05)
+
+
+def _keys(options: RouterOptions, listen: str | None) -> RouterKeys | None:
+    if options.keys is None:
+        return None
+    if listen is None:
+        raise ConfigError("a router with --keys needs --listen tls/HOST:PORT, as in tls/0.0.0.0:7447")
+    from mdb_deploy.credentials import KeyFolder
+
+    return KeyFolder(options.keys).router_keys(listen)
+
+
+def _changes(folder: Path | None) -> Callable[[], bool]:
+    """Return a function that says whether a key folder's access control has changed since the last call."""
+    if folder is None:
+        return lambda: False
+    path = folder / ACCESS_FILE
+    seen = path.stat().st_mtime_ns if path.exists() else 0
+
+    def changed() -> bool:
+        nonlocal seen
+        before, seen = seen, path.stat().st_mtime_ns if path.exists() else seen
+        return seen != before
+
+    return changed
+
+
+def _say_where(run_folder: Path | None, endpoint: str) -> None:
     if run_folder is not None:
         run_folder.mkdir(parents=True, exist_ok=True)
         partial = run_folder / f"{ENDPOINT_FILE}.part"
         partial.write_text(endpoint, encoding="utf-8")
         partial.replace(run_folder / ENDPOINT_FILE)
-    log.info("routing", endpoint=endpoint)
-    while not stop():
-        time.sleep(0.05)
-    router.close()
 
 
 @dataclass(frozen=True)
 class ServiceOptions:
-    """What the command line says of a service: run folder, router, an evolver's model, a robot's window."""
+    """What the command line says of a service: run folder, router, an evolver's model, a robot's window, keys."""
 
     run: Path
     connect: str
     model: str | None = None
     gui: bool = False
+    keys: Path | None = None
 
 
 def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
@@ -63,7 +128,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
         "memory": lambda bus: _memory(bus, experiment, run_folder),
         "evolver": lambda bus: _evolver(bus, experiment, options.model),
         "optimizer": lambda bus: _optimizer(bus, experiment),
-        "robot": lambda bus: experiment.robot_service(bus, gui=options.gui),
+        "robot": lambda bus: experiment.robot_service(bus, run_folder, gui=options.gui),
         "teacher": experiment.teacher_service,
     }
     if name not in builders:
@@ -71,6 +136,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
     bus = ZenohBus(
         experiment.brain.experiment.brain,
         options.connect,
+        credentials=options.keys,
         connect_timeout_s=CONNECT_S,
         lossless=experiment.brain.lockstep,
     )

@@ -181,7 +181,7 @@ class Bus(ABC):
 
     @abstractmethod
     def tap(self) -> Tap:
-        """Return every sample that anyone puts on a key of this brain."""
+        """Return every sample that anyone puts on a key of this brain, and what is kept of the last ones."""
 
     @abstractmethod
     def queryable(self, row: Key, handler: Callable[[], Message | None], **parameters: str) -> None:
@@ -203,6 +203,14 @@ class Bus(ABC):
         """Return "role/instance" of all that are alive; changes wake `wait`."""
 
     @abstractmethod
+    def admitted(self, role: str, instance: str, timeout_s: float) -> bool:
+        """Whether others see this bus's token within the bound; if not, the router takes nothing from it.
+
+        A router with keys drops without a word what it denies, so a teacher asks this once, after `token`. Raises
+        `BusError` when the router is gone.
+        """
+
+    @abstractmethod
     def close(self) -> None:
         """Withdraw everything this bus declared. May be called twice."""
 
@@ -212,6 +220,10 @@ class Bus(ABC):
     def wait(self, timeout_s: float) -> bool:
         """Wait until something came since the last `wait`, or the bound; return whether it did."""
         return self._wake.wait(timeout_s)
+
+    def poke(self) -> None:
+        """Wake this bus's `wait`, from any thread: something other than a message is to be done."""
+        self._wake.set()
 
     def _alive_name(self, key: str) -> str | None:
         found = ALIVE.match(self.brain, key)

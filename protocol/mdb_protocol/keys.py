@@ -40,6 +40,12 @@ class Key:
     late_joiner: str = ""
     repeatable: bool = True
     """Whether a lockstep run of one seed has the same values on it every time."""
+    history: int = 1
+    """Of a key with history: how many of its last samples a late joiner gets."""
+    recorded: bool = True
+    """Whether it belongs in a run's log."""
+    teachers_read: bool = False
+    """Whether a teacher may read it; where the key names a teacher, only under that name (see `roles`)."""
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -66,11 +72,29 @@ class Key:
         return found.groupdict() if found else None
 
 
-PERCEPTION = Key("perception", m.Perception, "robot", Delivery.LATEST, "what the robot senses")
-SCENE = Key("scene", m.Scene, "robot", Delivery.LATEST, "what a bystander sees: for teachers and viewers")
+PERCEPTION = Key("perception", m.Perception, "robot", Delivery.LATEST, "what the robot senses", teachers_read=True)
+SCENE = Key(
+    "scene", m.Scene, "robot", Delivery.LATEST, "what a bystander sees: for teachers and viewers", teachers_read=True
+)
 ACTION = Key("action", m.Action, "action optimizer", Delivery.LATEST, "the current action")
-COMMAND = Key("teacher/{teacher}/command", m.Command, "that teacher", Delivery.LATCHED, "a note, or silence")
-FEEDBACK = Key("teacher/{teacher}/feedback", m.Feedback, "that teacher", Delivery.LATCHED, "reward or punishment")
+COMMAND = Key(
+    "teacher/{teacher}/command",
+    m.Command,
+    "that teacher",
+    Delivery.LATCHED,
+    "a note, or silence",
+    late_joiner="the last 32",
+    history=32,
+)
+FEEDBACK = Key(
+    "teacher/{teacher}/feedback",
+    m.Feedback,
+    "that teacher",
+    Delivery.LATCHED,
+    "reward or punishment",
+    late_joiner="the last 32",
+    history=32,
+)
 AUDIO = Key(
     "teacher/{teacher}/audio",
     m.AudioFrame,
@@ -78,8 +102,15 @@ AUDIO = Key(
     Delivery.RELIABLE,
     "sound, in which notes are to be heard",
 )
-HEARD = Key("heard/{teacher}", m.Command, "ear", Delivery.RELIABLE, "the note heard in a teacher's sound, or silence")
-PHASE = Key("phase", m.Phase, "scripted teacher", Delivery.LATCHED, "the phase of the experiment")
+HEARD = Key(
+    "heard/{teacher}",
+    m.Command,
+    "ear",
+    Delivery.RELIABLE,
+    "the note heard in a teacher's sound, or silence",
+    teachers_read=True,
+)
+PHASE = Key("phase", m.Phase, "scripted teacher", Delivery.LATCHED, "the phase of the experiment", teachers_read=True)
 PAIR = Key(
     "pair",
     m.Pair,
@@ -112,6 +143,7 @@ CONTEXT = Key(
     "memory store",
     Delivery.RELIABLE,
     "a change of context, a model stored in the long-term memory or recalled from it",
+    teachers_read=True,
 )
 CURRENT_MODEL = Key(
     "model/{model}",
@@ -129,11 +161,51 @@ KEPT_MODEL = Key(
     "the last current model, kept on disk",
     repeatable=False,
 )
-ITERATION = Key("iteration", m.IterationReport, "action optimizer", Delivery.RELIABLE, "what was done and foreseen")
-TIMING = Key(
-    "timing", m.Timing, "action optimizer", Delivery.RELIABLE, "durations of the iteration", repeatable=False
+CHECKPOINT = Key(
+    "checkpoint/{model}",
+    m.Checkpoint,
+    "that evolver",
+    Delivery.LATEST,
+    "the whole state of an evolver, now and then",
+    repeatable=False,
+    recorded=False,
 )
-FINISHED = Key("finished", m.Finished, "action optimizer", Delivery.LATCHED, "the experiment is over")
+RESUME = Key(
+    "memory/{model}/resume",
+    m.Resume,
+    "memory store",
+    Delivery.QUERY,
+    "an evolver's last checkpoint and the changes since",
+    repeatable=False,
+)
+PROGRESS = Key(
+    "memory/progress",
+    m.Progress,
+    "memory store",
+    Delivery.QUERY,
+    "how far the pairs go, for an optimizer that begins",
+    repeatable=False,
+)
+ITERATION = Key(
+    "iteration",
+    m.IterationReport,
+    "action optimizer",
+    Delivery.RELIABLE,
+    "what was done and foreseen",
+    teachers_read=True,
+)
+TIMING = Key(
+    "timing",
+    m.Timing,
+    "action optimizer",
+    Delivery.RELIABLE,
+    "durations of the iteration",
+    repeatable=False,
+    teachers_read=True,
+)
+FINISHED = Key(
+    "finished", m.Finished, "action optimizer", Delivery.LATCHED, "the experiment is over", teachers_read=True
+)
 STATUS = Key(
     "status/{role}/{instance}",
     m.Status,
@@ -141,6 +213,7 @@ STATUS = Key(
     Delivery.QUERY,
     "rates, versions, refused messages",
     repeatable=False,
+    teachers_read=True,
 )
 ALIVE = Key(
     "alive/{role}/{instance}",
@@ -149,11 +222,13 @@ ALIVE = Key(
     Delivery.TOKEN,
     "declared last, so it means ready",
     repeatable=False,
+    teachers_read=True,
 )
 
 KEYS = (
-    PERCEPTION, SCENE, ACTION, COMMAND, FEEDBACK, AUDIO, HEARD, PHASE, PAIR, PAIR_STORED, MEMORY_CHANGE, MEMORY_SNAPSHOT,
-    CONTEXT, CURRENT_MODEL, KEPT_MODEL, ITERATION, TIMING, FINISHED, STATUS, ALIVE,
+    PERCEPTION, SCENE, ACTION, COMMAND, FEEDBACK, AUDIO, HEARD, PHASE, PAIR, PAIR_STORED, MEMORY_CHANGE,
+    MEMORY_SNAPSHOT, CONTEXT, CURRENT_MODEL, KEPT_MODEL, CHECKPOINT, RESUME, PROGRESS, ITERATION, TIMING, FINISHED,
+    STATUS, ALIVE,
 )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ Messages are encoded and decoded as on the wire, so nothing is shared between se
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -36,7 +37,7 @@ class Fabric:
         self.lock = threading.RLock()
         self.subscriptions: list[_Subscription] = []
         self.taps: list[tuple[MemoryBus, Tap]] = []
-        self.last: dict[str, tuple[MemoryBus, Raw]] = {}
+        self.last: dict[str, tuple[MemoryBus, deque[Raw]]] = {}
         self.queryables: dict[str, tuple[MemoryBus, Callable[[], Message | None]]] = {}
         self.tokens: dict[str, MemoryBus] = {}
         self.buses: list[MemoryBus] = []
@@ -46,7 +47,10 @@ class Fabric:
         """Hand a sample to everyone who wants it."""
         with self.lock:
             if row.delivery in KEEPS_LAST:
-                self.last[raw.key] = (owner, raw)
+                keeper, _ = self.last.get(raw.key, (None, None))
+                if keeper is not owner:
+                    self.last[raw.key] = owner, deque(maxlen=row.history)
+                self.last[raw.key][1].append(raw)
             if raw.key not in self._routes:
                 self._routes[raw.key] = [s.inbox for s in self.subscriptions if s.wants(raw.key)]
             for inbox in self._routes[raw.key]:
@@ -96,9 +100,10 @@ class MemoryBus(Bus):
         with self.fabric.lock:
             self.fabric.subscriptions.append(subscription)
             self.fabric.changed()
-            for key, (_, raw) in self.fabric.last.items():
+            for key, (_, kept) in self.fabric.last.items():
                 if subscription.wants(key):
-                    inbox.put(raw)
+                    for raw in kept:
+                        inbox.put(raw)
         return inbox
 
     def tap(self) -> Tap:
@@ -106,6 +111,10 @@ class MemoryBus(Bus):
         tap = Tap(self._wake)
         with self.fabric.lock:
             self.fabric.taps.append((self, tap))
+            for owner, kept in self.fabric.last.values():
+                if owner.brain == self.brain:
+                    for raw in kept:
+                        tap.put(raw)
         return tap
 
     def queryable(self, row: Key, handler: Callable[[], Message | None], **parameters: str) -> None:
@@ -149,6 +158,10 @@ class MemoryBus(Bus):
             names = [self._alive_name(key) for key in self.fabric.tokens]
         return frozenset(name for name in names if name)
 
+    def admitted(self, role: str, instance: str, timeout_s: float) -> bool:  # noqa: ARG002
+        """See `Bus.admitted`; nobody is denied here."""
+        return f"{role}/{instance}" in self.alive()
+
     def close(self) -> None:
         """See `Bus.close`."""
         with self.fabric.lock:
@@ -161,10 +174,6 @@ class MemoryBus(Bus):
             fabric.tokens = {k: v for k, v in fabric.tokens.items() if v is not self}
             fabric.buses = [b for b in fabric.buses if b is not self]
             fabric.changed()
-
-    def poke(self) -> None:
-        """Wake this bus's `wait`."""
-        self._wake.set()
 
     def check_open(self) -> None:
         """Raise BusError when this bus was closed."""

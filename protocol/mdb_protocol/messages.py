@@ -82,17 +82,53 @@ class Placement(Message, frozen=True, kw_only=True):
         check_finite("placement", {name: getattr(self, name) for name in self.__struct_fields__})
 
 
+class Intention(Message, frozen=True, kw_only=True):
+    """What the optimizer meant by an action: it began at the reading `before`; see `IterationReport` for the rest.
+
+    The robot gives it back with the outcome, unread, so that an optimizer that died meanwhile can form the pair.
+    """
+
+    before: Reading
+    note: Annotated[int, Meta(ge=0, le=127)] | None
+    teacher: Name | None
+    holder: Name | None
+    mode: Name
+    explored: bool
+    predicted: float | None
+    versions: Versions
+
+    def __post_init__(self) -> None:
+        check_finite("before", self.before)
+        check_finite("predicted", self.predicted)
+
+
+class Action(Message, frozen=True, kw_only=True):
+    """The action of `iteration`: an index into the robot's actions.
+
+    `stamp` is that of the newest perception: the action is void `valid_for_s` after the robot had shown that one.
+    """
+
+    iteration: Iteration
+    action: Annotated[int, Meta(ge=0, le=1023)]
+    valid_for_s: Annotated[float, Meta(gt=0, le=3600)]
+    stamp: float = 0.0
+    intention: Intention | None = None
+
+
 class Perception(Message, frozen=True, kw_only=True):
-    """What the robot sensed after its `iteration`-th action (0: none yet).
+    """What the robot sensed after its `iteration`-th action (0: none yet), which was `done`.
 
     `outcome` is the reading that the action led to; `reading` is what the next action starts from. They
-    are the same unless `event` brought a new placement. A sensor that sees nothing is left out.
+    are the same unless `event` brought a new placement. A sensor that sees nothing is left out. `stamp` says when
+    it was shown, in seconds of the robot's own clock: a robot that waits shows it again with a new stamp.
     """
 
     iteration: Iteration
     event: Event
     outcome: Reading
     reading: Reading
+    done: Action | None = None
+    stamp: float = 0.0
 
     def __post_init__(self) -> None:
         check_finite("outcome", self.outcome)
@@ -162,14 +198,6 @@ class Phase(Message, frozen=True, kw_only=True):
     iteration: Iteration
     name: Text
     teacher: Name | None = None
-
-
-class Action(Message, frozen=True, kw_only=True):
-    """The action of `iteration`: an index into the robot's actions; void `valid_for_s` after it came."""
-
-    iteration: Iteration
-    action: Annotated[int, Meta(ge=0, le=1023)]
-    valid_for_s: Annotated[float, Meta(gt=0, le=3600)]
 
 
 class Pair(Message, frozen=True, kw_only=True):
@@ -262,6 +290,58 @@ class MemorySnapshot(Message, frozen=True, kw_only=True):
         check_array("inputs", self.inputs, "f", 2)
         check_array("targets", self.targets, "f", 2)
         check_rows("snapshot", self.slots, self.pairs, self.inputs, self.targets)
+
+
+class Checkpoint(Message, frozen=True, kw_only=True):
+    """All from which an evolver goes on: its learner's `state`, and the memory of `version` that it had learnt."""
+
+    model: Name
+    version: Count
+    generation: Count
+    state: dict[Name, np.ndarray]
+    memory: MemorySnapshot
+
+
+class Resume(Message, frozen=True, kw_only=True):
+    """What the memory store has for an evolver that begins or has missed something.
+
+    `checkpoint` is its last one; `changes` are those after it, or after the beginning when there is none, in order,
+    as far back as they are kept; `memory` is the whole memory as it is now.
+    """
+
+    model: Name
+    checkpoint: Checkpoint | None
+    changes: list[MemoryChange]
+    memory: MemorySnapshot
+
+
+class Progress(Message, frozen=True, kw_only=True):
+    """How far the memory store is, for an optimizer that begins: the pair of `iteration` is the next one.
+
+    versions: each model's short-term memory; unjudged: the newest pairs without feedback; notes, actions and
+    iterations (n,): when each action was last taken under each note (-1: without one).
+    """
+
+    iteration: Iteration
+    versions: Versions
+    unjudged: list[Pair]
+    notes: np.ndarray
+    actions: np.ndarray
+    iterations: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("notes", "actions", "iterations"):
+            check_array(name, getattr(self, name), "i", 1)
+        check_rows("tried", self.notes, self.actions, self.iterations)
+
+
+class RobotState(Message, frozen=True, kw_only=True):
+    """What a robot that is started again goes on from: what it showed last, and what its body counts."""
+
+    perception: Perception
+    scene: Scene
+    episode_age: Count
+    unseen: Count
 
 
 class ContextEvent(Message, frozen=True, kw_only=True):

@@ -10,17 +10,18 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, NamedTuple
 
 import zenoh
 from zenoh import ext
 from zenoh.handlers import Callback
 
-from mdb_protocol import codec
+from mdb_protocol import codec, endpoints
+from mdb_protocol.bundle import Bundle, why_refused
 from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError
 from mdb_protocol.keys import ALIVE, ROOT, Delivery, Key
@@ -33,6 +34,7 @@ HEARTBEAT_S = 0.5
 LEASE_MS = 2000
 """A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 
 
 class ZenohBus(Bus):
@@ -43,16 +45,21 @@ class ZenohBus(Bus):
         brain: str,
         connect: str = DEFAULT_ENDPOINT,
         *,
+        credentials: Path | None = None,
         connect_timeout_s: float = 5.0,
         lossless: bool = False,
     ) -> None:
-        """Join the router at `connect`; BusError when none answers within the bound.
+        """Join the router at `connect`; BusError when none answers within the bound, or it refuses.
 
-        `lossless` makes latest-value publishers wait instead of dropping (lockstep runs).
+        `credentials` is a bundle of `mdb keys`, or a key folder, of which the brain's own is taken: what a router
+        at `tls/...` or `quic/...` wants to see. `lossless` makes latest-value publishers wait instead of dropping
+        (lockstep runs).
         """
         super().__init__(brain)
         self._lossless = lossless
-        self._session = _open_client(connect, connect_timeout_s)
+        self._connect = connect
+        self._bundle = _bundle(brain, connect, credentials)
+        self._session = _open_client(connect, self._bundle, connect_timeout_s)
         self._declared: list[Any] = []
         self._asked: SimpleQueue[tuple[Key, Callable[[], Message | None], zenoh.Query]] = SimpleQueue()
         self._alive: set[str] | None = None
@@ -63,6 +70,7 @@ class ZenohBus(Bus):
         key = row.at(self.brain, **parameters)
         if row.message is None or "*" in key:
             raise BusError(f"cannot publish on {key}: it is not a concrete key with a payload")
+        self._check_writes(row, key)
         drops = row.delivery is Delivery.LATEST and not self._lossless
         publisher = ext.declare_advanced_publisher(
             self._session,
@@ -81,16 +89,18 @@ class ZenohBus(Bus):
         """See `Bus.subscriber`."""
         inbox = Inbox(row, self.brain, self.refusals, self._wake)
         keeps_last = row.delivery in (Delivery.LATEST, Delivery.LATCHED)
-        self._subscribe(row.at(self.brain, **parameters), inbox.put, history=keeps_last)
+        self._subscribe(row.at(self.brain, **parameters), inbox.put, row.history if keeps_last else 0)
         return inbox
 
     def tap(self) -> Tap:
         """See `Bus.tap`."""
         tap = Tap(self._wake)
-        self._subscribe(f"{ROOT}/{self.brain}/**", tap.put, history=True)
+        self._subscribe(f"{ROOT}/{self.brain}/**", tap.put, RELIABLE_CACHE)
         return tap
 
-    def _subscribe(self, key: str, put: Callable[[Raw], None], *, history: bool) -> None:
+    def _subscribe(self, key: str, put: Callable[[Raw], None], history: int) -> None:
+        """Hand samples to `put`, and at first the last `history` ones that each publisher has."""
+
         def hand_over(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
                 put(Raw(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding)))
@@ -99,7 +109,7 @@ class ZenohBus(Bus):
             self._session,
             key,
             Callback(hand_over, indirect=False),
-            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1) if history else None,
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=history) if history else None,
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
         self._declared.append(subscriber)
@@ -158,7 +168,23 @@ class ZenohBus(Bus):
     def token(self, role: str, instance: str) -> None:
         """See `Bus.token`."""
         key = ALIVE.at(self.brain, role=role, instance=instance)
+        self._check_writes(ALIVE, key)
         self._declared.append(self._session.liveliness().declare_token(key))
+
+    def _check_writes(self, row: Key, key: str) -> None:
+        if self._bundle is not None and self._bundle.user is not None:
+            self._bundle.user.check_writes(row, key)
+
+    def admitted(self, role: str, instance: str, timeout_s: float) -> bool:
+        """See `Bus.admitted`; asks through a session of its own, for this one sees its token even when denied."""
+        deadline = time.monotonic() + timeout_s
+        key = ALIVE.at(self.brain, role=role, instance=instance)
+        with _open_client(self._connect, self._bundle, timeout_s) as other:
+            while not any(reply.ok for reply in other.liveliness().get(key, timeout=timeout_s)):
+                if time.monotonic() >= deadline:
+                    return False
+                time.sleep(0.05)
+        return True
 
     def alive(self) -> frozenset[str]:
         """See `Bus.alive`; the first call asks and from then on follows the changes."""
@@ -206,7 +232,16 @@ class _Publisher:
             raise BusError(f"cannot publish on {self._publisher.key_expr}: {error}") from error
 
 
-def _open_client(connect: str, timeout_s: float) -> zenoh.Session:
+def _bundle(brain: str, connect: str, credentials: Path | None) -> Bundle | None:
+    encrypted = connect.startswith(tuple(f"{protocol}/" for protocol in endpoints.ENCRYPTED))
+    if credentials is None and encrypted:
+        raise BusError(f"the router at {connect} lets in only who has keys: give your bundle with --keys FILE")
+    if credentials is not None and not encrypted:
+        raise BusError(f"with keys the router is at tls/HOST:PORT or quic/HOST:PORT, not at {connect}")
+    return None if credentials is None else Bundle.find(credentials, brain)
+
+
+def _open_client(connect: str, bundle: Bundle | None, timeout_s: float) -> zenoh.Session:
     config = zenoh.Config.from_json5(
         json.dumps(
             {
@@ -222,7 +257,12 @@ def _open_client(connect: str, timeout_s: float) -> zenoh.Session:
                     },
                 },
                 "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-                "transport": {"link": {"tx": {"lease": LEASE_MS}}},
+                "transport": {
+                    "link": {
+                        "tx": {"lease": LEASE_MS},
+                        "tls": {} if bundle is None else bundle.client_tls(),
+                    }
+                },
             }
         )
     )
@@ -231,26 +271,52 @@ def _open_client(connect: str, timeout_s: float) -> zenoh.Session:
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
+            reason = why_refused(endpoints.parse(connect), bundle)
+            if reason is not None and bundle is not None:
+                raise BusError(f"the router at {connect} cannot be used: {reason}") from error
             if time.monotonic() >= deadline:
+                said = reason or (QUIC_SAYS if connect.startswith("quic/") else _first_line(error))
                 raise BusError(
-                    f"no router answers at {connect} within {timeout_s:g} s ({_first_line(error)}). Start one "
-                    f"with 'mdb run router --listen {connect}', or give the right one with --connect"
+                    f"no router answers at {connect} within {timeout_s:g} s ({said}). Start "
+                    f"one with 'mdb run router --listen {connect}', or give the right one with --connect"
                 ) from error
             time.sleep(0.05)
+
+
+class RouterKeys(NamedTuple):
+    """What a router with keys shows and enforces: its own bundle, Zenoh's `access_control` section."""
+
+    bundle: Bundle
+    access_control: Mapping[str, object]
 
 
 class Router:
     """A Zenoh router in this process (paper: none; ours). The same config file drives `zenohd`."""
 
-    def __init__(self, config_file: Path, listen: str | None = None) -> None:
+    def __init__(
+        self,
+        config_file: Path,
+        listen: str | None = None,
+        *,
+        keys: RouterKeys | None = None,
+        open_to_everyone: bool = False,
+    ) -> None:
         """Start routing; `listen` replaces the file's endpoint, port 0 asks for a free one.
 
-        Raises `BusError` when the file is not a config or the endpoint cannot be had.
+        Raises `BusError` when the file is not a config, the endpoint cannot be had, or it can be reached from beyond
+        this machine and there are neither keys nor the plain word that it is `open_to_everyone`.
         """
         try:
             config = zenoh.Config.from_file(str(config_file))
             if listen:
                 config.insert_json5("listen/endpoints", json.dumps([listen]))
+            every: list[str] = json.loads(config.get_json("listen/endpoints"))
+            self.listen = every[0]
+            for endpoint in every:
+                endpoints.check_listen(endpoint, has_keys=keys is not None, open_to_everyone=open_to_everyone)
+            if keys is not None:
+                config.insert_json5("transport/link/tls", json.dumps(keys.bundle.router_tls()))
+                config.insert_json5("access_control", json.dumps(keys.access_control))
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
             where = listen or f"the endpoint in {config_file}"
@@ -260,12 +326,19 @@ class Router:
             ) from error
 
     def endpoint(self) -> str:
-        """Return the first endpoint it listens on, with the real port."""
+        """Return where a client on this machine connects: the first endpoint it listens on, with the real port."""
         for reply in self._session.get("@/*/router", timeout=2.0):
             if reply.ok is not None:
                 locators: list[str] = json.loads(reply.ok.payload.to_bytes())["locators"]
-                return locators[0]
+                return self._on_this_machine(locators)
         raise BusError("the router does not say where it listens; is its admin space switched off?")
+
+    def _on_this_machine(self, locators: list[str]) -> str:
+        """Undo that a router which listens on all addresses names the outer ones only."""
+        asked, first = endpoints.parse(self.listen), endpoints.parse(locators[0])
+        if asked.host in endpoints.EVERYWHERE:
+            return str(asked._replace(port=first.port).for_this_machine())
+        return locators[0]
 
     def close(self) -> None:
         """Stop routing; clients notice at once."""
@@ -273,4 +346,6 @@ class Router:
 
 
 def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0][:200] if str(error).strip() else type(error).__name__
+    """Return what an error says, without where in Zenoh's own code it arose."""
+    said = str(error).strip()
+    return said.splitlines()[0].partition(" at /")[0][:200] if said else type(error).__name__

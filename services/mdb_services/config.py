@@ -7,8 +7,10 @@ Owns the sections that the services read and the way a file becomes them: TOML, 
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -33,6 +35,7 @@ MEMORY_FILE = "memory.sqlite"
 
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Seconds = Annotated[float, Meta(gt=0, le=3600)]
+Durability = Literal["process", "power"]
 Probability = Annotated[float, Meta(ge=0, le=1)]
 
 
@@ -116,6 +119,58 @@ class OptimizerSection(Section, frozen=True, kw_only=True):
     action_valid_s: Seconds = 1.0
 
 
+class EarSection(Section, frozen=True, kw_only=True):
+    """`[ear]`: teachers may sound their notes; how the ear tells them. Without the section there is no ear."""
+
+    notes_hz: Annotated[tuple[Annotated[float, Meta(ge=40, le=3500)], ...], Meta(min_length=1, max_length=128)] = (
+        261.63, 293.66, 329.63, 349.23, 392.00, 440.00, 493.88,
+    )  # fmt: skip
+    """The scale, rising: note 0 is the first. C4 to B4, the white keys."""
+    detector: Literal["template", "swift-f0"] = "template"
+    """A comb of harmonics laid over the spectrum, or the network of the swift-f0 package (extra `sound`)."""
+    window_s: Annotated[float, Meta(ge=0.03, le=1)] = 0.128
+    """Sound that is looked at together: the longer, the finer the pitch and the better in noise."""
+    hop_s: Annotated[float, Meta(ge=0.005, le=1)] = 0.032
+    stable_windows: Annotated[int, Meta(ge=1, le=100)] = 3
+    """So many windows in a row must agree on a note, at the least."""
+    tonality: Probability = 0.5
+    """How much a window must be its pitch alone: 1 is nothing else, and noise is near 0."""
+    certainty: Annotated[float, Meta(ge=0, le=100)] = 0.9
+    """What the agreeing windows must have together of tonality beyond that: a clear note is certain sooner."""
+    rise_db: Annotated[float, Meta(ge=0, le=60)] = 6.0
+    """How much louder than of late a note must be to have been played."""
+    quiet_db: Annotated[float, Meta(ge=-120, le=0)] = -60.0
+    """What is not as loud as this, below full scale, is silence."""
+    tolerance_cents: Annotated[float, Meta(gt=0, le=600)] = 45.0
+    """How far from a note of the scale a pitch may be."""
+
+    def __post_init__(self) -> None:
+        gap_hz = min((high - low for low, high in pairwise(self.notes_hz)), default=math.inf)
+        if gap_hz * self.window_s < 1.0 or self.notes_hz[0] * self.window_s < 4.0:
+            raise ValueError(
+                f"notes_hz is {list(self.notes_hz)}; expected rising notes from {4.0 / self.window_s:.1f} Hz on, at "
+                f"least {1.0 / self.window_s:.1f} Hz apart; a longer window_s tells lower and closer ones"
+            )
+        if self.hop_s > self.window_s:
+            raise ValueError(f"hop_s is {self.hop_s}; expected at most window_s, {self.window_s}")
+
+
+class EvolverSection(Section, frozen=True, kw_only=True):
+    """`[evolver]`: what holds for every evolver."""
+
+    checkpoint_every: Annotated[int, Meta(ge=1, le=10_000)] = 20
+    """Memory versions between two checkpoints: so many are learnt again, at most, after a crash."""
+
+
+class StoreSection(Section, frozen=True, kw_only=True):
+    """`[store]`: how safe the memory store's file and the robot's state are."""
+
+    durability: Durability = "process"
+    """"process": what is acknowledged survives the death of every process; "power": also a loss of power."""
+    when_full: Literal["stop", "act"] = "stop"
+    """While pairs cannot be stored, the robot waits, or goes on acting and what it does is not learnt."""
+
+
 class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The brain's part of an experiment file; other top-level sections are left to their owners."""
 
@@ -124,6 +179,9 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
     model: Annotated[tuple[ModelSection, ...], Meta(min_length=1)]
     mode: Annotated[tuple[ModeSection, ...], Meta(min_length=1)]
     optimizer: OptimizerSection
+    evolver: EvolverSection = msgspec.field(default_factory=EvolverSection)
+    store: StoreSection = msgspec.field(default_factory=StoreSection)
+    ear: EarSection | None = None
     learner: dict[str, Any] = {}
     evolution: dict[str, Any] = {}
     memory: dict[str, Any] = {}

@@ -1,22 +1,26 @@
 """An evolver: one population for one model, a few generations for each version of its short-term memory.
 
 Owns the population of one world or satisfaction model; publishes its best as the current model. Never acts.
-A restarted evolver takes its memory from the memory store and its last current model as a seed.
+Now and then it gives the memory store a checkpoint, all from which it goes on: a restarted evolver takes that and
+the changes of its memory since. In lockstep it then is, value by value, the one that died.
 """
 
 from __future__ import annotations
 
 import time
+from collections import deque
+from itertools import pairwise
 
 import numpy as np
 import structlog
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
+from mdb_protocol.codec import MAX_BYTES
 from mdb_protocol.errors import ConfigError, QueryError
 from mdb_services.config import BrainConfig
 from mdb_services.mechanism.encoding import Codebook
-from mdb_services.mechanism.learners import Learner, make_learner
+from mdb_services.mechanism.learners import Best, Learner, make_learner
 from mdb_services.mechanism.network import Network, Shape
 from mdb_services.mechanism.settings import DifferentialConfig, EvolutionConfig
 from mdb_services.mechanism.stm import Change, MemoryMirror, VersionGapError
@@ -63,6 +67,10 @@ class Evolver:
         self._error = 0.0
         self._step_s = 0.0
         self._joined = False
+        self._missed: deque[messages.MemoryChange] = deque()
+        self._every = config.evolver.checkpoint_every
+        self._kept_version = 0
+        self._checkpoints = bus.publisher(keys.CHECKPOINT, model=model)
         self._publisher = bus.publisher(keys.CURRENT_MODEL, model=model)
         self._changes = bus.subscriber(keys.MEMORY_CHANGE, model=model)
 
@@ -72,7 +80,7 @@ class Evolver:
             self._joined = self._join()
             return self._joined
         moved = False
-        while (change := self._changes.take()) is not None:
+        while (change := self._next()) is not None:
             moved = True
             self._follow(change)
             if self._lockstep and self._mirror.version > self._learnt_version:
@@ -82,22 +90,54 @@ class Evolver:
             moved = True
         return moved
 
+    def _next(self) -> messages.MemoryChange | None:
+        """Return the next change: first what was missed, then what comes."""
+        if self._missed:
+            return self._missed.popleft()
+        change: messages.MemoryChange | None = self._changes.take()
+        return change
+
     def _join(self) -> bool:
-        """Take the memory as it is, and the last current model as a seed, from the memory store."""
-        kept: list[messages.CurrentModel] = []
+        """Go on from what the memory store has: the last checkpoint and the changes since, or the memory as it is."""
         try:
-            snapshots = self.bus.query(keys.MEMORY_SNAPSHOT, QUERY_S, model=self.instance)
-            if snapshots:
-                kept = self.bus.query(keys.KEPT_MODEL, QUERY_S, model=self.instance)
-            if not snapshots:
+            answers: list[messages.Resume] = self.bus.query(keys.RESUME, QUERY_S, model=self.instance)
+            if not answers:
                 return False
-            self._load(snapshots[0])
+            self._resume(answers[0])
         except (QueryError, ValueError) as error:
-            self.bus.refusals.add(keys.MEMORY_SNAPSHOT.path, f"no usable memory; asking again: {error}")
+            self.bus.refusals.add(keys.RESUME.path, f"no usable memory; asking again: {error}")
             return False
-        self._recall(snapshots[0].seeds)
-        if kept and not self._generations:
-            self._seed(kept[0])
+        return True
+
+    def _resume(self, resume: messages.Resume) -> None:
+        restored = not self._mirror.version and resume.checkpoint is not None and self._restore(resume.checkpoint)
+        self._missed.clear()
+        changes = [change for change in resume.changes if change.version > self._mirror.version]
+        versions = [self._mirror.version, *(change.version for change in changes)]
+        if all(b == a + 1 for a, b in pairwise(versions)) and versions[-1] == resume.memory.version:
+            self._missed.extend(changes)
+        else:
+            self._load(resume.memory)
+            self._recall(resume.memory.seeds)
+        if restored and self._mirror.version == self._learnt_version and len(self._mirror) and not self._missed:
+            inputs, targets, _ = self._mirror.arrays()  # it may have died before anybody heard the last model
+            self._show(self._learner.learn(inputs, targets, version=self._learnt_version, generations=0))
+        fresh = not self._generations and resume.memory.version > 0
+        if fresh and not self._lockstep:  # in lockstep every version is learnt again
+            for kept in self.bus.query(keys.KEPT_MODEL, QUERY_S, model=self.instance):
+                self._seed(kept)
+
+    def _restore(self, checkpoint: messages.Checkpoint) -> bool:
+        """Take over population, memory and counts; what does not fit is left, and all begins anew."""
+        try:
+            self._learner.restore(checkpoint.state)
+            self._load(checkpoint.memory)
+        except ValueError as error:
+            self.bus.refusals.add(keys.RESUME.path, f"beginning without the checkpoint: {error}")
+            return False
+        self._generations = checkpoint.generation
+        self._learnt_version = self._kept_version = checkpoint.version
+        log.info("going on from the checkpoint", model=self.instance, version=checkpoint.version)
         return True
 
     def _seed(self, kept: messages.CurrentModel) -> None:
@@ -153,7 +193,16 @@ class Evolver:
             return
         best = self._learner.learn(inputs, targets, version=self._mirror.version)
         self._generations += self._learner.generations
-        self._learnt_version, self._error = self._mirror.version, best.error
+        self._learnt_version = self._mirror.version
+        if not self._missed:  # of what was missed the newest will do
+            self._show(best)
+        if self._learnt_version - self._kept_version >= self._every:
+            self._keep()
+        self._step_s = time.perf_counter() - started
+
+    def _show(self, best: Best) -> None:
+        """Publish the best network as the current model."""
+        self._error = best.error
         layers, weights = best.network.to_arrays()
         self._publisher.put(
             messages.CurrentModel(
@@ -165,7 +214,29 @@ class Evolver:
                 error=best.error,
             )
         )
-        self._step_s = time.perf_counter() - started
+
+    def _keep(self) -> None:
+        """Give the memory store a checkpoint, if it can be sent."""
+        self._kept_version = self._learnt_version
+        state = self._learner.state()
+        if sum(array.nbytes for array in state.values()) > MAX_BYTES / 2:
+            self.bus.refusals.add(keys.CHECKPOINT.path, "the learner's state is too large to be kept")
+            return
+        inputs, targets, ids = self._mirror.arrays()
+        version, slots = self._mirror.version, self._mirror.slots.astype(np.int64)
+        memory = messages.MemorySnapshot(
+            model=self.instance,
+            version=version,
+            slots=slots,
+            pairs=np.ascontiguousarray(ids, dtype=np.int64),
+            inputs=inputs,
+            targets=targets,
+        )
+        self._checkpoints.put(
+            messages.Checkpoint(
+                model=self.instance, version=version, generation=self._generations, state=state, memory=memory
+            )
+        )
 
     def values(self) -> dict[str, float]:
         """Version learnt and behind, generations, error over the memory, duration of the last learning."""

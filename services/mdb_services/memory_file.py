@@ -16,7 +16,9 @@ from mdb_protocol import codec, messages
 from mdb_protocol.errors import DecodeError, MdbError
 
 SCHEMA = """
-CREATE TABLE IF NOT EXISTS pair (iteration INTEGER PRIMARY KEY, payload BLOB NOT NULL, stored BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS pair (
+    iteration INTEGER PRIMARY KEY, payload BLOB NOT NULL, stored BLOB NOT NULL, note INTEGER, action INTEGER
+);
 CREATE TABLE IF NOT EXISTS recalled (id INTEGER PRIMARY KEY, payload BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS change (
     model TEXT, version INTEGER, slot INTEGER, pair INTEGER, entry_error REAL, PRIMARY KEY (model, version, slot)
@@ -28,10 +30,17 @@ CREATE TABLE IF NOT EXISTS seed (
     model TEXT, place INTEGER, payload BLOB NOT NULL, PRIMARY KEY (model, place)
 ) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS model (name TEXT PRIMARY KEY, payload BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS checkpoint (model TEXT PRIMARY KEY, payload BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS step (
+    model TEXT, version INTEGER, payload BLOB NOT NULL, PRIMARY KEY (model, version)
+) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS long_term (
     model TEXT, id INTEGER, payload BLOB NOT NULL, PRIMARY KEY (model, id)
 ) WITHOUT ROWID;
 """
+
+STEPS_KEPT = 1000
+"""Changes of a memory that are kept for an evolver that makes no checkpoint."""
 
 
 class Entry(NamedTuple):
@@ -100,8 +109,8 @@ class MemoryFile:
         It takes the place of the same pair without feedback.
         """
         with self._transaction():
-            row = (pair.iteration, codec.encode(pair), codec.encode(stored))
-            self._db.execute("INSERT OR REPLACE INTO pair VALUES (?, ?, ?)", row)
+            row = (pair.iteration, codec.encode(pair), codec.encode(stored), pair.note, pair.action)
+            self._db.execute("INSERT OR REPLACE INTO pair VALUES (?, ?, ?, ?, ?)", row)
             for effect in effects:
                 self._write(effect)
 
@@ -132,6 +141,11 @@ class MemoryFile:
                 "INSERT INTO change VALUES (?, ?, ?, ?, ?)",
                 [(change.model, change.version, slot, pair, error) for slot, pair in rows],
             )
+            step = (change.model, change.version, codec.encode(change))
+            self._db.execute("INSERT INTO step VALUES (?, ?, ?)", step)
+            self._db.execute(
+                "DELETE FROM step WHERE model = ? AND version <= ?", (change.model, change.version - STEPS_KEPT)
+            )
             if effect.context is not None and change.version == effect.context.version:
                 self._db.execute("INSERT INTO context VALUES (?, ?, ?, ?)", (change.model, *effect.context))
                 seeds = [(change.model, place, codec.encode(seed)) for place, seed in enumerate(change.seeds)]
@@ -151,6 +165,44 @@ class MemoryFile:
         """Return a pair that is on disk, or None."""
         row = self._db.execute("SELECT payload FROM pair WHERE iteration = ?", (iteration,)).fetchone()
         return codec.decode(messages.Pair, row[0], codec.encoding_of(messages.Pair)) if row else None
+
+    def unjudged(self, newest: int) -> list[messages.Pair]:
+        """Return those of the `newest` pairs that have no feedback, in order."""
+        rows = self._db.execute("SELECT payload FROM pair ORDER BY iteration DESC LIMIT ?", (newest,)).fetchall()
+        encoding = codec.encoding_of(messages.Pair)
+        pairs = (codec.decode(messages.Pair, payload, encoding) for (payload,) in reversed(rows))
+        return [pair for pair in pairs if pair.feedback is None]
+
+    def next_iteration(self) -> int:
+        """Return the iteration after that of the last pair; 0 without one."""
+        return int(self._db.execute("SELECT coalesce(max(iteration) + 1, 0) FROM pair").fetchone()[0])
+
+    def tried(self) -> list[tuple[int, int, int]]:
+        """Return (note or -1, action, iteration) of the last time that an action was taken under a note."""
+        return self._db.execute(
+            "SELECT coalesce(note, -1), action, max(iteration) FROM pair GROUP BY note, action"
+        ).fetchall()
+
+    def keep_checkpoint(self, checkpoint: messages.Checkpoint) -> None:
+        """Keep an evolver's last checkpoint, and of the changes only those after it."""
+        with self._transaction():
+            row = (checkpoint.model, codec.encode(checkpoint))
+            self._db.execute("INSERT OR REPLACE INTO checkpoint VALUES (?, ?)", row)
+            self._db.execute(
+                "DELETE FROM step WHERE model = ? AND version <= ?", (checkpoint.model, checkpoint.version)
+            )
+
+    def checkpoint(self, model: str) -> messages.Checkpoint | None:
+        """Return an evolver's last checkpoint, or None."""
+        row = self._db.execute("SELECT payload FROM checkpoint WHERE model = ?", (model,)).fetchone()
+        encoding = codec.encoding_of(messages.Checkpoint)
+        return codec.decode(messages.Checkpoint, row[0], encoding) if row else None
+
+    def steps(self, model: str) -> list[messages.MemoryChange]:
+        """Return the changes of a model's memory since its checkpoint, in order, as far back as they are kept."""
+        rows = self._db.execute("SELECT payload FROM step WHERE model = ? ORDER BY version", (model,))
+        encoding = codec.encoding_of(messages.MemoryChange)
+        return [codec.decode(messages.MemoryChange, payload, encoding) for (payload,) in rows]
 
     def count(self) -> int:
         """Return how many pairs are on disk."""

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from itertools import count
 
+import numpy as np
 import structlog
 
 from mdb_protocol import keys, messages
@@ -52,11 +53,21 @@ class MemoryStore:
         self._changes = {name: bus.publisher(keys.MEMORY_CHANGE, model=name) for name in self._memories}
         self._contexts = {name: bus.publisher(keys.CONTEXT, model=name) for name in self._memories}
         self._stored: Publisher = bus.publisher(keys.PAIR_STORED)
+        bus.queryable(keys.PROGRESS, self._progress)
         for name in self._memories:
+            bus.queryable(keys.RESUME, lambda name=name: self._resume(name), model=name)  # type: ignore[misc]
             bus.queryable(keys.MEMORY_SNAPSHOT, lambda name=name: self._memories[name].snapshot(), model=name)  # type: ignore[misc]
             bus.queryable(keys.KEPT_MODEL, lambda name=name: self._kept.get(name), model=name)  # type: ignore[misc]
+        self._checkpoints = [bus.subscriber(keys.CHECKPOINT, model=name) for name in self._memories]
         self._models = bus.subscriber(keys.CURRENT_MODEL)
         self._pairs = bus.subscriber(keys.PAIR)
+        self._repeat()
+
+    def _repeat(self) -> None:
+        """Publish each memory's last change again: it may be on disk only, if we died in between."""
+        for name, publisher in self._changes.items():
+            for change in self._file.steps(name)[-1:]:
+                publisher.put(change)
 
     def _restore(self) -> None:
         """Make the memories as they are on disk."""
@@ -88,6 +99,10 @@ class MemoryStore:
             moved = True
             if model.model in self._memories and self._remember(model):
                 self._file.keep_model(model)
+        for inbox in self._checkpoints:
+            while (checkpoint := inbox.take()) is not None:
+                moved = True
+                self._keep(checkpoint)
         while (pair := self._waiting or self._pairs.take()) is not None:
             if not self._is_due(pair):
                 break
@@ -95,6 +110,31 @@ class MemoryStore:
             self._store(pair)
             moved = True
         return moved
+
+    def _keep(self, checkpoint: messages.Checkpoint) -> None:
+        """Keep a checkpoint, unless it is of a memory that is not (yet) on disk."""
+        memory = self._memories.get(checkpoint.model)
+        if memory is not None and checkpoint.version <= memory.stm.version:
+            self._file.keep_checkpoint(checkpoint)
+
+    def _resume(self, name: str) -> messages.Resume:
+        return messages.Resume(
+            model=name,
+            checkpoint=self._file.checkpoint(name),
+            changes=self._file.steps(name),
+            memory=self._memories[name].snapshot(),
+        )
+
+    def _progress(self) -> messages.Progress:
+        notes, actions, iterations = np.array(self._file.tried(), dtype=np.int64).reshape(-1, 3).T
+        return messages.Progress(
+            iteration=self._file.next_iteration(),
+            versions={name: memory.stm.version for name, memory in self._memories.items()},
+            unjudged=self._file.unjudged(self._config.optimizer.feedback_window),
+            notes=notes,
+            actions=actions,
+            iterations=iterations,
+        )
 
     def _is_due(self, pair: messages.Pair) -> bool:
         """Whether to store a pair now: its models are there, or it has waited for them long enough."""

@@ -2,7 +2,8 @@
 
 Owns the iteration: perception, command, which mode applies, the best action, the action-perception pair.
 Never learns, and never waits for learning except in lockstep. Every wait has a bound; `step` never blocks:
-it goes on from the stage the cycle is in with what has come.
+it goes on from the stage the cycle is in with what has come. After its death it goes on from what the memory store
+has and what the robot gives back of its last intention, so that a pair is neither lost nor formed twice.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import islice
 
 import msgspec
@@ -20,77 +20,29 @@ from numpy.typing import NDArray
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
+from mdb_protocol.errors import QueryError
 from mdb_services.config import BrainConfig
+from mdb_services.cycle import CurrentModels, Cycle, differs, prequential
 from mdb_services.mechanism import streams
 from mdb_services.mechanism.choice import Choice, choose
-from mdb_services.mechanism.encoding import Codebook, Facts, gather
-from mdb_services.mechanism.network import Network
+from mdb_services.mechanism.encoding import Codebook, gather
 from mdb_services.teachers import Teachers
 
 log = structlog.get_logger()
 
 ROLE = "optimizer"
+QUERY_S = 2.0
+"""Bound on asking the memory store; without an answer the next step asks again."""
 ENDING_S = 5.0
 """Bound on waiting for the last acknowledgements before the experiment is called finished."""
 NEVER = -1
 """In place of an iteration, for an action that was not tried yet."""
+UNSTORED = 100
+"""Pairs without acknowledgement with which the robot still acts, unless the file says `when_full = "act"`."""
+KEPT_UNSTORED = 10_000
+"""Pairs that are kept for a memory store that does not come back; beyond it the oldest is lost, and counted."""
 RESENT_AT_ONCE = 100
 """Pairs without acknowledgement that are sent again together, the oldest first."""
-
-
-@dataclass
-class _Cycle:
-    """One iteration in the making."""
-
-    perception: messages.Perception
-    started_s: float
-    """When the perception came."""
-    begun_s: float
-    """When the cycle before was done: from here on a command is awaited."""
-    gave_up: set[str] = field(default_factory=set)
-    command: messages.Command | None = None
-    choice: Choice | None = None
-    models: dict[str, tuple[Codebook, Network]] = field(default_factory=dict)
-    versions: dict[str, int] = field(default_factory=dict)
-    acted_s: float = 0.0
-    sent_s: float = 0.0
-    outcome: messages.Perception | None = None
-    outcome_s: float = 0.0
-
-    @property
-    def note(self) -> int | None:
-        """The note of the teacher who is obeyed, or None."""
-        return self.command.note if self.command else None
-
-    @property
-    def teacher(self) -> str | None:
-        """The teacher who is obeyed, or None."""
-        return self.command.teacher if self.command else None
-
-
-@dataclass
-class _CurrentModels:
-    """The newest valid model of each name, ready to use."""
-
-    codebooks: dict[str, Codebook]
-    usable: dict[str, tuple[Codebook, Network]] = field(default_factory=dict)
-    versions: dict[str, int] = field(default_factory=dict)
-
-    def take(self, model: messages.CurrentModel) -> str | None:
-        """Use a model from now on; return what is wrong with it instead, if anything is."""
-        codebook = self.codebooks.get(model.model)
-        if codebook is None:
-            return f"no model {model.model!r} in this experiment"
-        if (model.layers[0], model.layers[-1]) != (codebook.width, len(codebook.outputs)):
-            return (
-                f"model {model.model} has layers {model.layers}, not {codebook.width} in, {len(codebook.outputs)} out"
-            )
-        try:
-            self.usable[model.model] = codebook, Network.from_arrays(model.layers, model.weights)
-        except ValueError as error:
-            return str(error)
-        self.versions[model.model] = model.version
-        return None
 
 
 class Optimizer:
@@ -101,19 +53,23 @@ class Optimizer:
     def __init__(self, bus: Bus, config: BrainConfig, clock: Callable[[], float] = time.monotonic) -> None:
         self.bus = bus
         self._experiment, self._settings = config.experiment, config.optimizer
+        self._most_unstored = UNSTORED if config.store.when_full == "stop" else None
+        self._joined = False
         self._lockstep = config.lockstep
         self._modes = config.modes()
         self._clock = clock
         variables = config.variables()
         books = {m.name: Codebook(variables, m.inputs, m.outputs) for m in config.model}
-        self._models = _CurrentModels(books)
+        self._models = CurrentModels(books)
         self._notes = variables["note"].indices if "note" in variables else None
         self._required: dict[str, int] = {}
-        self._cycle: _Cycle | None = None
+        self._cycle: Cycle | None = None
         self._next = 0
         self._teachers = Teachers(config.optimizer.word)
         self._unjudged: dict[int, messages.Pair] = {}
         """The pairs within `feedback_window` that have no feedback yet."""
+        self._stamp = 0.0
+        self._lost = 0
         self._unacknowledged: dict[int, tuple[messages.Pair, float]] = {}
         self._tried: defaultdict[int | None, NDArray[np.int64]] = defaultdict(
             lambda: np.full(config.optimizer.actions, NEVER)
@@ -134,19 +90,42 @@ class Optimizer:
 
     def step(self) -> bool:
         """Take what has come, then bring the cycle as far as it goes."""
+        if not self._joined:
+            self._joined = self._join()
+            return self._joined
         self._receive()
         self._resend_pairs()
-        if self._finished:
-            return False
         if self._finishing_s is not None:
-            return self._finish()
-        if self._cycle is None:
+            return not self._finished and self._finish()
+        return self._cycle is not None and self._go_on(self._cycle)
+
+    def _go_on(self, cycle: Cycle) -> bool:
+        """Bring an iteration one stage further, if what that needs is there."""
+        if cycle.choice is None:
+            return self._act(cycle)
+        if cycle.outcome is None:
+            return self._resend_action(cycle)
+        return self._conclude(cycle)
+
+    def _join(self) -> bool:
+        """Go on from the pairs that the memory store has."""
+        try:
+            answers: list[messages.Progress] = self.bus.query(keys.PROGRESS, QUERY_S)
+        except QueryError as error:
+            self.bus.refusals.add(keys.PROGRESS.path, f"asking again: {error}")
             return False
-        if self._cycle.choice is None:
-            return self._act(self._cycle)
-        if self._cycle.outcome is None:
-            return self._resend_action(self._cycle)
-        return self._conclude(self._cycle)
+        if not answers:
+            return False
+        progress = answers[0]
+        self._next, self._required = progress.iteration, progress.versions
+        tried = zip(progress.notes.tolist(), progress.actions.tolist(), progress.iterations.tolist(), strict=True)
+        for note, action, iteration in tried:
+            if 0 <= action < self._settings.actions:
+                self._tried[note if note >= 0 else None][action] = iteration
+        self._unjudged = {pair.iteration: pair for pair in progress.unjudged}
+        if progress.iteration:
+            log.info("going on", iteration=progress.iteration)
+        return True
 
     def _receive(self) -> None:
         while (model := self._model_inbox.take()) is not None:
@@ -177,42 +156,90 @@ class Optimizer:
             self._teachers.hear(command)
 
     def _judge(self, feedback: messages.Feedback) -> None:
-        """Keep feedback for the iteration it names; credit it at once to a pair that is formed already."""
-        if feedback.iteration < self._next and feedback.iteration not in self._unjudged:
-            if feedback.iteration < self._next - self._settings.feedback_window:
-                reason = f"feedback of {feedback.teacher} for iteration {feedback.iteration}; now is {self._next}"
-                self.bus.refusals.add(keys.FEEDBACK.path, reason)
-            return
-        self._teachers.judge(feedback)
-        pair = self._unjudged.get(feedback.iteration)
-        if pair is None:
-            return
-        value, judges = self._teachers.verdict(pair.iteration, pair.teacher)
-        if value is not None:
-            del self._unjudged[pair.iteration]
-            self._send_pair(msgspec.structs.replace(pair, feedback=value, judges=judges))
+        """Keep feedback for the iteration it names, unless that is long over."""
+        if feedback.iteration >= self._next - self._settings.feedback_window:
+            self._teachers.judge(feedback)
+        else:
+            reason = f"feedback of {feedback.teacher} for iteration {feedback.iteration}; now is {self._next}"
+            self.bus.refusals.add(keys.FEEDBACK.path, reason)
+
+    def _credit_late_feedback(self) -> None:
+        """Send pairs again whose feedback has come since.
+
+        Before an action and after its command, not when it comes: in lockstep that is the same moment every run.
+        """
+        for pair in list(self._unjudged.values()):
+            value, judges = self._teachers.verdict(pair.iteration, pair.teacher)
+            if value is not None:
+                del self._unjudged[pair.iteration]
+                self._send_pair(msgspec.structs.replace(pair, feedback=value, judges=judges))
 
     def _perceive(self, perception: messages.Perception) -> None:
         """Take the outcome of the action, or begin where the robot is when it is further than that."""
         now, cycle = self._clock(), self._cycle
+        self._stamp = perception.stamp
         due = self._next if cycle is None or cycle.choice is None else self._next + 1
+        if cycle is not None and perception.iteration < due:
+            return
         if cycle is None or perception.iteration > due:
-            if cycle is not None:
-                log.warning("the robot is further; going on there", mine=self._next, robot=perception.iteration)
-            self._next = perception.iteration
-            self._cycle = _Cycle(perception, now, now)
-        elif cycle.choice is not None and cycle.outcome is None and perception.iteration == due:
+            self._begin(perception, now)
+        elif cycle.choice is None or cycle.outcome is not None:
+            return
+        elif not (differs(perception.done, cycle.action) and self._take_up(perception, now)):
             cycle.outcome, cycle.outcome_s = perception, now
 
-    def _act(self, cycle: _Cycle) -> bool:
+    def _begin(self, perception: messages.Perception, now: float) -> None:
+        """Begin an iteration; before that end the one that the robot says it has done for us, if it is not stored."""
+        if perception.iteration == self._next + 1 and self._take_up(perception, now):
+            return
+        if self._cycle is not None or self._next not in (0, perception.iteration):
+            log.warning("the robot is elsewhere; going on there", mine=self._next, robot=perception.iteration)
+        self._next = perception.iteration
+        self._cycle = Cycle(perception, now, now)
+
+    def _take_up(self, perception: messages.Perception, now: float) -> bool:
+        """Make the cycle of which the robot shows the outcome, from what was meant by its action, if it says that."""
+        action = perception.done
+        if action is None or action.intention is None or action.iteration != self._next:
+            return False
+        meant = action.intention
+        before = messages.Perception(iteration=action.iteration, event="none", outcome={}, reading=meant.before)
+        self._cycle = Cycle(
+            before,
+            now,
+            now,
+            note=meant.note,
+            teacher=meant.teacher,
+            holder=meant.holder,
+            choice=Choice(action.action, meant.mode, meant.explored, meant.predicted),
+            versions=meant.versions,
+            acted_s=now,
+            sent_s=now,
+            action=action,
+            outcome=perception,
+            outcome_s=now,
+            taken_up=True,
+        )
+        self._teachers.holder = meant.holder
+        self._tried[meant.note][action.action] = action.iteration
+        return True
+
+    def _act(self, cycle: Cycle) -> bool:
         """Choose and send the action once command and, in lockstep, models are there or their time is up."""
         iteration = cycle.perception.iteration
         if iteration >= self._experiment.iterations:
             self._finishing_s = self._clock()
             return True
-        if not (self._command_is_in(cycle) and self._models_are_in(cycle)):
+        if self._most_unstored is not None and len(self._unacknowledged) > self._most_unstored:
             return False
-        cycle.command = self._teachers.word(iteration)
+        if not self._command_is_in(cycle):
+            return False
+        self._credit_late_feedback()
+        if not self._models_are_in(cycle):
+            return False
+        command = self._teachers.word(iteration)
+        cycle.note, cycle.teacher = (command.note, command.teacher) if command is not None else (None, None)
+        cycle.holder = self._teachers.holder
         cycle.models, cycle.versions = dict(self._models.usable), dict(self._models.versions)
         cycle.choice = choose(
             self._modes,
@@ -227,12 +254,12 @@ class Optimizer:
         self._send_action(cycle)
         return True
 
-    def _command_is_in(self, cycle: _Cycle) -> bool:
+    def _command_is_in(self, cycle: Cycle) -> bool:
         if self._teachers.settled(cycle.perception.iteration, self.bus.alive()):
             return True
         return self._time_is_up(cycle, "command", cycle.begun_s, self._settings.command_patience_s)
 
-    def _models_are_in(self, cycle: _Cycle) -> bool:
+    def _models_are_in(self, cycle: Cycle) -> bool:
         if not self._lockstep:
             return True
         if not self._unacknowledged and all(
@@ -241,7 +268,7 @@ class Optimizer:
             return True
         return self._time_is_up(cycle, "models", cycle.begun_s, self._settings.lockstep_patience_s)
 
-    def _time_is_up(self, cycle: _Cycle, what: str, since_s: float, patience_s: float) -> bool:
+    def _time_is_up(self, cycle: Cycle, what: str, since_s: float, patience_s: float) -> bool:
         """Whether to go on without; in lockstep, where a slow machine must not change the run, not before its own."""
         if self._lockstep:
             patience_s = max(patience_s, self._settings.lockstep_patience_s)
@@ -253,27 +280,43 @@ class Optimizer:
             log.warning("waited in vain; going on without", what=what, iteration=self._next, patience_s=patience_s)
         return True
 
-    def _send_action(self, cycle: _Cycle) -> None:
+    def _send_action(self, cycle: Cycle) -> None:
+        """Send the action with the stamp of the newest perception, which is how long it is valid from."""
         assert cycle.choice is not None
-        self._actions.put(
-            messages.Action(
-                iteration=cycle.perception.iteration,
-                action=cycle.choice.action,
-                valid_for_s=self._settings.action_valid_s,
-            )
+        choice = cycle.choice
+        cycle.action = messages.Action(
+            iteration=cycle.perception.iteration,
+            action=choice.action,
+            valid_for_s=self._settings.action_valid_s,
+            stamp=self._stamp,
+            intention=messages.Intention(
+                before=cycle.perception.reading,
+                note=cycle.note,
+                teacher=cycle.teacher,
+                holder=cycle.holder,
+                mode=choice.mode,
+                explored=choice.explored,
+                predicted=choice.predicted,
+                versions=cycle.versions,
+            ),
         )
+        self._actions.put(cycle.action)
 
-    def _resend_action(self, cycle: _Cycle) -> bool:
+    def _resend_action(self, cycle: Cycle) -> bool:
         if self._clock() - cycle.sent_s >= self._settings.resend_s:
             cycle.sent_s = self._clock()
             self._send_action(cycle)
         return False
 
-    def _conclude(self, cycle: _Cycle) -> bool:
+    def _conclude(self, cycle: Cycle) -> bool:
         """Form the pair once the feedback is in or its time is up; begin the next iteration."""
         iteration = cycle.perception.iteration
         assert cycle.choice is not None
         assert cycle.outcome is not None
+        if cycle.taken_up and not cycle.models:
+            if not self._models_are_in(cycle):
+                return False
+            cycle.models = dict(self._models.usable)
         if (
             not self._teachers.answered(iteration, cycle.teacher)
             and self._teachers.is_there(cycle.teacher, self.bus.alive())
@@ -292,15 +335,18 @@ class Optimizer:
             teacher=cycle.teacher,
             judges=judges,
         )
+        self._report(cycle, pair)  # before the pair: of what is stored the report is out
         self._send_pair(pair)
-        self._report(cycle, pair)
         self._next = iteration + 1
         self._remember(pair)
-        self._cycle = _Cycle(cycle.outcome, cycle.outcome_s, self._clock())
+        self._cycle = Cycle(cycle.outcome, cycle.outcome_s, self._clock())
         return True
 
     def _send_pair(self, pair: messages.Pair) -> None:
         self._unacknowledged[pair.iteration] = pair, self._clock()
+        if len(self._unacknowledged) > KEPT_UNSTORED:
+            del self._unacknowledged[next(iter(self._unacknowledged))]
+            self._lost += 1
         self._pairs.put(pair)
 
     def _remember(self, pair: messages.Pair) -> None:
@@ -311,7 +357,7 @@ class Optimizer:
         self._unjudged = {i: kept for i, kept in self._unjudged.items() if i >= oldest}
         self._teachers.forget(before=self._next, feedback_before=oldest)
 
-    def _report(self, cycle: _Cycle, pair: messages.Pair) -> None:
+    def _report(self, cycle: Cycle, pair: messages.Pair) -> None:
         assert cycle.choice is not None
         assert cycle.outcome is not None
         choice = cycle.choice
@@ -325,11 +371,11 @@ class Optimizer:
                 note=pair.note,
                 feedback=pair.feedback,
                 event=cycle.outcome.event,
-                prequential=_prequential(cycle.models, pair),
+                prequential=prequential(cycle.models, pair),
                 versions=pair.versions,
                 teacher=pair.teacher,
                 judges=pair.judges,
-                holder=self._teachers.holder,
+                holder=cycle.holder,
             )
         )
         self._timings.put(
@@ -360,23 +406,10 @@ class Optimizer:
         return True
 
     def values(self) -> dict[str, float]:
-        """Iteration, pairs not acknowledged yet, and how often a wait was given up."""
+        """Iteration, pairs not acknowledged yet, pairs lost for want of a store, and waits given up."""
         gave_up = {f"gave_up.{what}": float(count) for what, count in self._gave_up.items()}
         waiting = float(len(self._unacknowledged))
-        return {"iteration": float(self._next), "unacknowledged": waiting, **gave_up}
+        return {"iteration": float(self._next), "unacknowledged": waiting, "lost": float(self._lost), **gave_up}
 
     def close(self) -> None:
         """Nothing to free."""
-
-
-def _prequential(models: dict[str, tuple[Codebook, Network]], pair: messages.Pair) -> dict[str, float]:
-    """Return each model's mean squared error on a pair that it has not learnt yet."""
-    facts: Facts = gather(
-        before=pair.before, after=pair.after, note=pair.note, action=pair.action, feedback=pair.feedback
-    )
-    errors = {}
-    for name, (codebook, network) in models.items():
-        inputs, targets = codebook.input_rows(facts), codebook.target_rows(facts)
-        if inputs is not None and targets is not None:
-            errors[name] = float(np.square(network.predict(inputs) - targets).mean())
-    return errors

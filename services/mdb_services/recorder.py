@@ -93,6 +93,9 @@ class Recorder:
     def _write(self, raw: Raw) -> None:
         channel = self._channels.get((raw.key, raw.encoding))
         if channel is None:
+            row = keys.find(self.bus.brain, raw.key)
+            if row is not None and not row.recorded:
+                return
             if len(self._channels) == MAX_CHANNELS:
                 self._end()
                 self._begin()

@@ -19,7 +19,11 @@ from mdb_services.config import BrainConfig, Section, brain_config, convert, rea
 from mdb_sim.robot import RobotConfig, RobotError, make_robot
 from mdb_sim.robot_service import RobotService
 from mdb_sim.schedule import TeacherSection, schedule_of
+from mdb_sim.state_file import StateFile
 from mdb_sim.teacher_service import ScriptedTeacher
+
+ROBOT_FILE = "robot.state"
+"""Where the robot was, in a run folder."""
 
 
 class RobotSection(Section, frozen=True, kw_only=True):
@@ -70,14 +74,16 @@ class Experiment:
         """Write the resolved experiment, overrides included: what a run folder keeps."""
         path.write_text(tomli_w.dumps(self.content), encoding="utf-8")
 
-    def robot_service(self, bus: Bus, *, gui: bool = False) -> RobotService:
-        """Build the robot; ConfigError when the body cannot be had."""
+    def robot_service(self, bus: Bus, run: Path | None = None, *, gui: bool = False) -> RobotService:
+        """Build the robot, with its state kept in the run folder; ConfigError when the body cannot be had."""
         try:
             body = make_robot(self.robot.body, self.robot.world, gui=gui)
         except RobotError as error:
             raise ConfigError(str(error)) from error
         action_s = 0.0 if self.brain.lockstep else self.robot.action_s
-        return RobotService(bus, body, self.brain.experiment.seed, action_s)
+        power_safe = self.brain.store.durability == "power"
+        file = StateFile(run / ROBOT_FILE, power_safe=power_safe) if run is not None else None
+        return RobotService(bus, body, self.brain.experiment.seed, action_s, file)
 
     def teacher_service(self, bus: Bus) -> ScriptedTeacher:
         """Build the scripted teacher; ConfigError when the file has no `[teacher]`."""

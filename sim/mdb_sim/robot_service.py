@@ -1,7 +1,10 @@
 """The robot as a service: turns the current action into motion and the next perception and scene.
 
-Owns a body (`robot.Robot`). Does each iteration's action once, however often it comes. Never sees a model, a
-reward or a note.
+Owns a body (`robot.Robot`). Does each iteration's action once, however often it comes, and none whose deadline is
+over (a dead-man's switch): an action answers the newest perception by its stamp, which is this process's own time,
+so neither frozen processes nor clocks nor slow networks make an old action look young. While it waits it shows the
+same perception again, with a new stamp. Goes on after its death where it was. Never sees a model, a reward or a
+note: what the optimizer meant by an action travels through it unread.
 """
 
 from __future__ import annotations
@@ -9,15 +12,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import msgspec
 import structlog
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
-from mdb_sim.robot import Placement, Robot, RobotError, Step
+from mdb_sim.robot import Placement, Pose, Robot, RobotError, Step
+from mdb_sim.state_file import StateFile
 
 log = structlog.get_logger()
 
 ROLE = "robot"
+SHOWN_AGAIN_S = 0.25
+"""What is perceived is shown again after this, as long as no action comes."""
 
 
 class RobotService:
@@ -26,33 +33,69 @@ class RobotService:
     role, instance = ROLE, "body"
 
     def __init__(
-        self, bus: Bus, body: Robot, seed: int, action_s: float = 0.0, sleep: Callable[[float], None] = time.sleep
+        self,
+        bus: Bus,
+        body: Robot,
+        seed: int,
+        action_s: float = 0.0,
+        file: StateFile | None = None,
+        *,
+        sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Reset the body and show the first perception; every action takes at least `action_s` on the wall."""
+        """Reset the body, or put it where `file` says, and show what it perceives.
+
+        Every action takes at least `action_s` on the wall.
+        """
         self.bus = bus
-        self._body, self._seed = body, seed
-        self._action_s, self._sleep = action_s, sleep
+        self._body, self._seed, self._file = body, seed, file
+        self._action_s, self._sleep, self._clock = action_s, sleep, clock
         self._acted_s = 0.0
+        self._late = 0
         self._perceptions = bus.publisher(keys.PERCEPTION)
         self._scenes = bus.publisher(keys.SCENE)
         self._actions = bus.subscriber(keys.ACTION)
         self._last = body.reset(seed)
-        self._perception: messages.Perception
-        self._show(self._last, None, None)
+        self._perception, self._scene = self._seen(self._last, None, None)
+        state = file.read() if file is not None else None
+        if state is not None:
+            self._go_on(state)
+        self._show()
+
+    def _go_on(self, state: messages.RobotState) -> None:
+        """Put the body where it was."""
+        scene = state.scene
+        counts = {"episode": scene.episode, "captures": scene.captures}
+        hidden = {"episode_age": state.episode_age, "unseen": state.unseen}
+        try:
+            self._body.restore(_truth(scene.now), scene.iteration, seed=self._seed, **counts, **hidden)
+        except RobotError as error:
+            log.warning("the state does not fit the body; it begins anew", reason=str(error))
+            return
+        now = _truth(scene.now)
+        seen = state.perception
+        self._last = Step(scene.iteration, scene.event, now, seen.outcome, now, seen.reading, **counts, **hidden)
+        self._perception, self._scene = seen, scene
+        log.info("going on where it was", iteration=scene.iteration)
 
     def step(self) -> bool:
-        """Do the newest action if it is due; show the last perception again when the action was done before."""
+        """Do the newest action if it is due and not too late; show again what is perceived when that is old."""
         action = self._actions.take()
         if action is None:
+            if self._clock() - self._perception.stamp >= SHOWN_AGAIN_S:
+                self._show()
             return False
         if action.iteration < self._last.iteration:
-            self._perceptions.put(self._perception)
+            self._show()
+        elif self._clock() - action.stamp > action.valid_for_s:
+            self._late += 1
+            self._show()
         elif action.action >= self._body.actions:
             self.bus.refusals.add(keys.ACTION.path, f"action {action.action}; the body has {self._body.actions}")
         else:
             if action.iteration > self._last.iteration:
                 self._catch_up(action.iteration)
-            self._do(action.action)
+            self._do(action)
         return True
 
     def _catch_up(self, iteration: int) -> None:
@@ -61,44 +104,66 @@ class RobotService:
         last = self._last
         self._body.restore(last.now, iteration, seed=self._seed, episode=last.episode, captures=last.captures)
 
-    def _do(self, action: int) -> None:
+    def _do(self, action: messages.Action) -> None:
         started = time.perf_counter()
         before = self._last.now
         try:
-            self._last = self._body.act(action)
+            self._last = self._body.act(action.action)
         except RobotError as error:
             self.bus.refusals.add(keys.ACTION.path, str(error))
             return
         self._acted_s = time.perf_counter() - started
         if self._acted_s < self._action_s:
             self._sleep(self._action_s - self._acted_s)
-        self._show(self._last, action, before)
+        self._perception, self._scene = self._seen(self._last, action, before)
+        if self._file is not None:
+            self._file.write(self._state())
+        self._show()
 
-    def _show(self, step: Step, action: int | None, before: Placement | None) -> None:
-        self._perception = messages.Perception(
-            iteration=step.iteration, event=step.event, outcome=step.reading, reading=step.next_reading
+    def _state(self) -> messages.RobotState:
+        last = self._last
+        return messages.RobotState(
+            perception=self._perception, scene=self._scene, episode_age=last.episode_age, unseen=last.unseen
+        )
+
+    def _show(self) -> None:
+        """Publish what is seen, with the time of now."""
+        self._perception = msgspec.structs.replace(self._perception, stamp=self._clock())
+        self._scenes.put(self._scene)
+        self._perceptions.put(self._perception)
+
+    @staticmethod
+    def _seen(
+        step: Step, action: messages.Action | None, before: Placement | None
+    ) -> tuple[messages.Perception, messages.Scene]:
+        perception = messages.Perception(
+            iteration=step.iteration, event=step.event, outcome=step.reading, reading=step.next_reading, done=action
         )
         scene = messages.Scene(
             iteration=step.iteration,
             episode=step.episode,
             captures=step.captures,
             event=step.event,
-            action=action,
+            action=action.action if action is not None else None,
             before=_placement(before) if before else None,
             reached=_placement(step.reached),
             now=_placement(step.now),
         )
-        self._scenes.put(scene)
-        self._perceptions.put(self._perception)
+        return perception, scene
 
     def values(self) -> dict[str, float]:
-        """Iteration, captures, and how long the last action took to simulate."""
-        last = self._last
-        return {"iteration": float(last.iteration), "captures": float(last.captures), "act_s": self._acted_s}
+        """Iteration, captures, actions that came too late, and how long the last one took to simulate."""
+        last, late = self._last, float(self._late)
+        counts = {"iteration": float(last.iteration), "captures": float(last.captures)}
+        return {**counts, "late": late, "act_s": self._acted_s}
 
     def close(self) -> None:
         """Free the body."""
         self._body.close()
+
+
+def _truth(seen: messages.Placement) -> Placement:
+    return Placement(Pose(seen.x_m, seen.y_m, seen.heading_rad), seen.object_x_m, seen.object_y_m)
 
 
 def _placement(placement: Placement) -> messages.Placement:

@@ -17,11 +17,13 @@ EXPERIMENT = experiment_path("paper")
 
 
 def repeatable(run: Path) -> dict[str, list[dict[str, Any]]]:
-    """Return the values on each repeatable key; what was sent again counts once."""
+    """Return the values on each repeatable key without their stamps; what was sent again counts once."""
     values: dict[str, list[dict[str, Any]]] = {}
     for recorded in read_log(run):
         if recorded.row.repeatable:
             plain = to_plain(recorded.message)
+            for stamped in (plain, plain.get("done") or {}):
+                stamped.pop("stamp", None)
             sequence = values.setdefault(recorded.key, [])
             if plain not in sequence[-3:]:
                 sequence.append(plain)
@@ -36,6 +38,7 @@ RESTLESS = (
     "long_term.stable_pairs=5",
     "long_term.good_error=0.8",
     "long_term.fit_error=0.5",
+    "teacher.phase.second teacher.delay=2",
 )
 """Settings with which a short run changes context again and again, and stores and recalls models."""
 

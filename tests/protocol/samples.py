@@ -86,6 +86,39 @@ PAIRS = st.builds(
     teacher=st.none() | NAMES,
     judges=st.lists(NAMES, max_size=3),
 )
+INTENTIONS = st.builds(
+    messages.Intention,
+    before=READINGS,
+    note=NOTES,
+    teacher=st.none() | NAMES,
+    holder=st.none() | NAMES,
+    mode=NAMES,
+    explored=st.booleans(),
+    predicted=st.none() | FLOATS,
+    versions=VERSIONS,
+)
+ACTION_MESSAGES = st.builds(
+    messages.Action,
+    iteration=COUNTS,
+    action=ACTIONS,
+    valid_for_s=st.floats(0, 3600, exclude_min=True),
+    stamp=FLOATS,
+    intention=st.none() | INTENTIONS,
+)
+CHANGES = memories(
+    messages.MemoryChange,
+    freed=st.integers(0, 4).flatmap(indices),
+    evicted=st.integers(0, 4).flatmap(indices),
+)
+SNAPSHOTS = memories(messages.MemorySnapshot)
+CHECKPOINTS = st.builds(
+    messages.Checkpoint,
+    model=NAMES,
+    version=COUNTS,
+    generation=COUNTS,
+    state=st.dictionaries(NAMES, floats((2, 3)), max_size=2),
+    memory=SNAPSHOTS,
+)
 LONG_TERM = with_network(
     messages.LongTermModel,
     id=COUNTS,
@@ -104,7 +137,13 @@ LONG_TERM = with_network(
 
 SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
     messages.Perception: st.builds(
-        messages.Perception, iteration=COUNTS, event=EVENTS, outcome=READINGS, reading=READINGS
+        messages.Perception,
+        iteration=COUNTS,
+        event=EVENTS,
+        outcome=READINGS,
+        reading=READINGS,
+        done=st.none() | ACTION_MESSAGES,
+        stamp=FLOATS,
     ),
     messages.Scene: st.builds(
         messages.Scene,
@@ -117,9 +156,7 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         reached=PLACEMENTS,
         now=PLACEMENTS,
     ),
-    messages.Action: st.builds(
-        messages.Action, iteration=COUNTS, action=ACTIONS, valid_for_s=st.floats(0, 3600, exclude_min=True)
-    ),
+    messages.Action: ACTION_MESSAGES,
     messages.Command: st.builds(messages.Command, teacher=NAMES, iteration=COUNTS, note=NOTES),
     messages.Feedback: st.builds(messages.Feedback, teacher=NAMES, iteration=COUNTS, value=st.none() | SHARES),
     messages.AudioFrame: st.builds(
@@ -133,12 +170,27 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
     messages.Phase: st.builds(messages.Phase, iteration=COUNTS, name=st.text(max_size=50), teacher=st.none() | NAMES),
     messages.Pair: PAIRS,
     messages.PairStored: st.builds(messages.PairStored, iteration=COUNTS, versions=VERSIONS, judged=st.booleans()),
-    messages.MemoryChange: memories(
-        messages.MemoryChange,
-        freed=st.integers(0, 4).flatmap(indices),
-        evicted=st.integers(0, 4).flatmap(indices),
+    messages.MemoryChange: CHANGES,
+    messages.MemorySnapshot: SNAPSHOTS,
+    messages.Checkpoint: CHECKPOINTS,
+    messages.Resume: st.builds(
+        messages.Resume,
+        model=NAMES,
+        checkpoint=st.none() | CHECKPOINTS,
+        changes=st.lists(CHANGES, max_size=2),
+        memory=SNAPSHOTS,
     ),
-    messages.MemorySnapshot: memories(messages.MemorySnapshot),
+    messages.Progress: st.integers(0, 4).flatmap(
+        lambda n: st.builds(
+            messages.Progress,
+            iteration=COUNTS,
+            versions=VERSIONS,
+            unjudged=st.lists(PAIRS, max_size=2),
+            notes=indices(n),
+            actions=indices(n),
+            iterations=indices(n),
+        )
+    ),
     messages.ContextEvent: st.builds(
         messages.ContextEvent,
         model=NAMES,
@@ -181,7 +233,15 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
 }
 
-ON_DISK: set[type[Message]] = {messages.LongTermModel, messages.LongTermFile}
-"""Message classes that no key carries: the long-term memory's rows, and what goes from run to run."""
+SAMPLES[messages.RobotState] = st.builds(
+    messages.RobotState,
+    perception=SAMPLES[messages.Perception],
+    scene=SAMPLES[messages.Scene],
+    episode_age=COUNTS,
+    unseen=COUNTS,
+)
+
+ON_DISK: set[type[Message]] = {messages.LongTermModel, messages.LongTermFile, messages.RobotState}
+"""Message classes that no key carries: the long-term memory's rows, what goes from run to run, where a robot was."""
 TYPES = sorted({row.message for row in keys.KEYS if row.message} | ON_DISK, key=lambda cls: cls.__name__)
 """Every message class that is encoded as a whole."""

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -32,6 +33,9 @@ class Rig:
         self.asked = 0
         self.snapshot_fields: dict[str, Any] = {}
         self.kept: messages.CurrentModel | None = None
+        self.checkpoint: messages.Checkpoint | None = None
+        self.steps: list[messages.MemoryChange] = []
+        self.checkpoints = self.store.subscriber(keys.CHECKPOINT, model=NAME)
         self.evolver = self.start()
         if store:
             self.open_store()
@@ -41,8 +45,12 @@ class Rig:
         return self.evolver
 
     def open_store(self) -> None:
-        self.store.queryable(keys.MEMORY_SNAPSHOT, self._snapshot, model=NAME)
+        self.store.queryable(keys.RESUME, self._resume, model=NAME)
         self.store.queryable(keys.KEPT_MODEL, lambda: self.kept, model=NAME)
+
+    def _resume(self) -> messages.Resume:
+        memory = self._snapshot()
+        return messages.Resume(model=NAME, checkpoint=self.checkpoint, changes=self.steps, memory=memory)
 
     def _snapshot(self) -> messages.MemorySnapshot:
         self.asked += 1
@@ -75,9 +83,9 @@ class Rig:
         arrays = {name: np.array(fields.pop(name, value), np.int64) for name, value in plain.items()}
         rows = {"inputs": np.array(inputs, np.float32), "targets": np.array(targets, np.float32)}
         version = fields.pop("version", self.version)
-        self.publisher.put(
-            messages.MemoryChange(model=NAME, version=version, seeds=list(seeds), **arrays, **rows, **fields)
-        )
+        change = messages.MemoryChange(model=NAME, version=version, seeds=list(seeds), **arrays, **rows, **fields)
+        self.last = change
+        self.publisher.put(change)
 
     def settle(self) -> list[messages.CurrentModel]:
         """Step, bounded, until the evolver has nothing to do; return the models it published."""
@@ -169,10 +177,10 @@ def test_an_evolver_without_memory_store_asks_again_and_does_nothing_else() -> N
 def test_a_store_that_fails_is_asked_again() -> None:
     rig = Rig(store=False)
 
-    def fail() -> messages.MemorySnapshot:
+    def fail() -> messages.Resume:
         raise OSError("disk is gone")
 
-    rig.store.queryable(keys.MEMORY_SNAPSHOT, fail, model=NAME)
+    rig.store.queryable(keys.RESUME, fail, model=NAME)
     assert [rig.evolver.step() for _ in range(5)] == [False] * 5
     rig.open_store()
     rig.insert()
@@ -273,7 +281,7 @@ def test_a_snapshot_of_another_experiment_is_refused_and_asked_for_again(fields:
     rig.insert()
     rig.snapshot_fields = fields
     assert [rig.evolver.step() for _ in range(5)] == [False] * 5
-    assert rig.evolver.bus.refusals.counts[keys.MEMORY_SNAPSHOT.path] == 5
+    assert rig.evolver.bus.refusals.counts[keys.RESUME.path] == 5
     rig.snapshot_fields = {}
     assert [m.version for m in rig.settle()] == [1]
 
@@ -423,3 +431,69 @@ def test_after_a_gap_the_networks_come_with_the_snapshot() -> None:
 def test_a_model_that_the_file_lacks_is_a_config_error() -> None:
     with pytest.raises(ConfigError, match="no model 'subject'"):
         Evolver(MemoryBus(Fabric(), BRAIN), config(), "subject")
+
+
+def taught(rig: Rig, versions: int) -> list[messages.CurrentModel]:
+    """Let the memory change so often, one change after the other, as a store that keeps them; return the models."""
+    models = []
+    for _ in range(versions):
+        rig.insert()
+        rig.steps.append(rig.last)
+        models += rig.settle()
+        if (checkpoint := rig.checkpoints.take()) is not None:
+            rig.checkpoint = checkpoint
+            rig.steps = [change for change in rig.steps if change.version > checkpoint.version]
+    return models
+
+
+LEARNERS = ["pbga", "ga", "de", "cma", "adam", "ridge"]
+
+
+@pytest.mark.parametrize("learner", LEARNERS)
+@pytest.mark.parametrize("died_at", [1, 4, 5, 7, 10])
+def test_in_lockstep_a_killed_evolver_goes_on_as_if_it_had_lived(learner: str, died_at: int) -> None:
+    settings = config(experiment=LOCKSTEP, learner={"name": learner}, evolver={"checkpoint_every": 5})
+    straight, rig = Rig(settings), Rig(settings)
+    expected = taught(straight, 12)
+    taught(rig, died_at)
+    rig.evolver.bus.close()
+    rig.start()
+    again = rig.settle()
+    assert [m.version for m in again] == [died_at], "the last once more: nobody may have heard it"
+    got = [*again, *taught(rig, 12 - died_at)]
+    assert [codec.encode(m) for m in got] == [codec.encode(m) for m in expected[died_at - 1 :]]
+
+
+def test_in_the_concurrent_pace_a_killed_evolver_goes_on_with_its_population() -> None:
+    rig = Rig(config(evolver={"checkpoint_every": 5}))
+    taught(rig, 7)
+    population = rig.evolver._learner.state()["weights"]
+    rig.evolver.bus.close()
+    rig.start()
+    (learnt,) = rig.settle()
+    assert (learnt.version, learnt.generation) == (7, GENERATIONS * 6), "5 as they were, the newest once more"
+    assert (rig.evolver._learner.state()["weights"] == population).mean() > 0.05, "the elite at least"
+
+
+def test_a_checkpoint_of_another_experiment_is_refused_and_all_begins_anew() -> None:
+    rig = Rig(config(experiment=LOCKSTEP, evolver={"checkpoint_every": 5}))
+    taught(rig, 6)
+    assert rig.checkpoint is not None
+    wrong = {name: array[:1] for name, array in rig.checkpoint.state.items()}
+    rig.checkpoint = msgspec.structs.replace(rig.checkpoint, state=wrong)
+    rig.evolver.bus.close()
+    rig.start()
+    assert [m.version for m in rig.settle()] == [6]
+    assert rig.evolver.bus.refusals.counts == {keys.RESUME.path: 1}
+
+
+def test_a_change_missed_in_lockstep_is_made_good_step_by_step() -> None:
+    settings = config(experiment=LOCKSTEP)
+    straight, rig = Rig(settings), Rig(settings)
+    expected = taught(straight, 6)
+    taught(rig, 3)
+    rig.publisher = rig.store.publisher(keys.MEMORY_CHANGE, model="induced")  # lost on the way
+    rig.insert()
+    rig.steps.append(rig.last)
+    rig.publisher = rig.store.publisher(keys.MEMORY_CHANGE, model=NAME)
+    assert weights(taught(rig, 2)[-1:]) == weights(expected[-1:])

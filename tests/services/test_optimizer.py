@@ -2,16 +2,25 @@
 
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.config import BrainConfig
-from mdb_services.optimizer import ENDING_S, Optimizer
+from mdb_services.optimizer import ENDING_S, UNSTORED, Optimizer
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, perception
 
 OPTIMIZER = CONTENT["optimizer"]
 PATIENCE_S, RESEND_S = 2.0, 0.5
+
+
+def progress(iteration: int = 0, **fields: Any) -> messages.Progress:
+    """What a memory store says that has the pairs before `iteration`."""
+    none = np.array([], np.int64)
+    plain = {"versions": {}, "unjudged": [], "notes": none, "actions": none, "iterations": none}
+    return messages.Progress(iteration=iteration, **(plain | fields))
 
 
 class Rig:
@@ -23,6 +32,8 @@ class Rig:
         self.presence = MemoryBus(self.fabric, BRAIN)
         if teacher:
             self.presence.token("teacher", "anna")
+        self.progress = progress()
+        self.world.queryable(keys.PROGRESS, lambda: self.progress)
         out = (keys.ACTION, keys.PAIR, keys.ITERATION, keys.FINISHED, keys.TIMING)
         self.inboxes = {row.path: self.world.subscriber(row) for row in out}
         self.now = 100.0
@@ -195,7 +206,7 @@ def test_an_action_without_effect_and_a_pair_without_answer_are_sent_again() -> 
 
 
 def test_pairs_without_memory_store_wait_and_are_sent_again_oldest_first_and_a_few_at_a_time() -> None:
-    rig = Rig(config(experiment={"iterations": 100_000}), teacher=False)
+    rig = Rig(config(experiment={"iterations": 100_000}, store={"when_full": "act"}), teacher=False)
     for i in range(3001):
         rig.sense(i)
     assert [p.iteration for p in rig.said(keys.PAIR)] == list(range(3000))
@@ -408,11 +419,15 @@ def test_late_feedback_is_credited_to_the_iteration_it_names() -> None:
         rig.wait(PATIENCE_S + 0.1)
     assert [judged(p) for p in rig.said(keys.PAIR) if p.feedback is not None] == []
     rig.reward(1, -0.5)
+    rig.command(3)
     (pair,) = rig.said(keys.PAIR)
     assert judged(pair) == (1, -0.5, ["anna"])
     rig.reward(1, 1.0)
     rig.reward(0, 1.0, teacher="ben")
-    assert rig.said(keys.PAIR) == [], "once, and only by the teacher who was obeyed"
+    rig.sense(4)
+    rig.reward(3)
+    rig.command(4)
+    assert [p.iteration for p in rig.said(keys.PAIR)] == [3], "once, and only by the teacher who was obeyed"
 
 
 def test_a_pair_is_sent_until_it_is_stored_with_its_late_feedback() -> None:
@@ -422,9 +437,9 @@ def test_a_pair_is_sent_until_it_is_stored_with_its_late_feedback() -> None:
     rig.sense(1)
     rig.wait(PATIENCE_S + 0.1)
     rig.reward(0, 1.0)
+    rig.command(1, None)
     rig.said(keys.PAIR)
     rig.store(0)
-    rig.command(1, None)
     rig.wait(RESEND_S + 0.1)
     assert judged(rig.said(keys.PAIR)[0]) == (0, 1.0, ["anna"])
     rig.say(keys.PAIR_STORED, messages.PairStored(iteration=0, versions={}, judged=True))
@@ -433,14 +448,15 @@ def test_a_pair_is_sent_until_it_is_stored_with_its_late_feedback() -> None:
 
 
 def test_feedback_for_what_is_long_over_is_counted_and_dropped() -> None:
-    rig = Rig(config(optimizer=OPTIMIZER | {"feedback_window": 2}), teacher=False)
+    rig = Rig(config(experiment={"iterations": 100}, optimizer=OPTIMIZER | {"feedback_window": 3}), teacher=False)
     for i in range(6):
         rig.sense(i)
     rig.said(keys.PAIR)
     rig.reward(1)
     assert (rig.said(keys.PAIR), rig.refused(keys.FEEDBACK)) == ([], 1)
     rig.reward(3)
-    assert [judged(p) for p in rig.said(keys.PAIR)] == [(3, 1.0, ["anna"])]
+    rig.sense(6)
+    assert [judged(p) for p in rig.said(keys.PAIR)] == [(5, None, []), (3, 1.0, ["anna"])]
 
 
 def test_the_report_says_who_was_heard_and_who_holds_the_word() -> None:
@@ -462,3 +478,100 @@ def test_a_note_that_the_ear_heard_is_a_command() -> None:
     rig.sense(1)
     rig.reward(0)
     assert [(p.note, p.teacher) for p in rig.said(keys.PAIR)] == [(2, "anna")]
+
+
+def test_without_a_place_for_its_pairs_the_robot_waits() -> None:
+    rig = Rig(config(experiment={"iterations": 100_000}), teacher=False)
+    for i in range(UNSTORED + 2):
+        rig.sense(i)
+    rig.wait(5.0)
+    waiting = rig.optimizer.values()["unacknowledged"]
+    acted = {action.iteration for action in rig.said(keys.ACTION)}
+    assert (max(acted), waiting) == (UNSTORED, UNSTORED + 1)
+    for i in range(UNSTORED):
+        rig.store(i)
+    assert [action.iteration for action in rig.said(keys.ACTION)] == [UNSTORED + 1]
+
+
+def test_nothing_is_done_before_the_memory_store_says_how_far_it_is() -> None:
+    rig = Rig(teacher=False)
+    rig.world.queryable(keys.PROGRESS, lambda: None)
+    rig.sense(0)
+    rig.optimizer.bus.close()
+    rig.start()
+    rig.settle()
+    assert rig.said(keys.ACTION) == []
+    rig.world.queryable(keys.PROGRESS, lambda: rig.progress)
+    rig.settle()
+    assert [action.iteration for action in rig.said(keys.ACTION)] == [0]
+
+
+def died(rig: Rig, **fields: Any) -> None:
+    """The optimizer dies and another begins; the memory store says how far it is."""
+    rig.progress = progress(**fields)
+    rig.optimizer.bus.close()
+    rig.start()
+    rig.settle()
+
+
+def test_an_optimizer_that_died_with_its_action_done_forms_the_pair_that_was_meant() -> None:
+    rig = Rig()
+    rig.learn("communication", 3)
+    rig.sense(0, 1.5)
+    rig.command(0, 2)
+    (action,) = rig.said(keys.ACTION)
+    rig.optimizer.bus.close()
+    rig.learn("communication", 4, last=-0.5)
+    rig.sense(1, 1.2, done=action)
+    died(rig, iteration=0)
+    rig.reward(0, -0.5)
+    (pair,) = rig.said(keys.PAIR)
+    assert pair == messages.Pair(
+        iteration=0, before={"distance": 1.5}, note=2, action=action.action, after={"distance": 1.2}, feedback=-0.5,
+        versions={"communication": 3}, teacher="anna", judges=["anna"],
+    )  # fmt: skip
+    (report,) = rig.said(keys.ITERATION)
+    assert (report.mode, report.predicted, report.holder) == ("taught", action.intention.predicted, "anna")
+
+
+def test_a_pair_that_is_stored_is_not_formed_again() -> None:
+    rig = Rig()
+    rig.sense(0)
+    rig.command(0)
+    (action,) = rig.said(keys.ACTION)
+    rig.sense(1, done=action)
+    rig.reward(0)
+    rig.said(keys.PAIR)
+    died(rig, iteration=1)
+    rig.command(1, None)
+    assert rig.said(keys.PAIR) == []
+    assert [a.iteration for a in rig.said(keys.ACTION)] == [1]
+
+
+def test_what_the_robot_did_counts_not_what_a_later_optimizer_wanted() -> None:
+    rig = Rig(teacher=False)
+    rig.sense(0)
+    (action,) = rig.said(keys.ACTION)
+    other = msgspec.structs.replace(action, action=(action.action + 1) % 3)
+    rig.sense(1, done=other)
+    assert [pair.action for pair in rig.said(keys.PAIR)] == [other.action]
+
+
+def test_late_feedback_finds_its_pair_after_a_restart() -> None:
+    rig = Rig(config(experiment={"iterations": 100}))
+    unjudged = messages.Pair(
+        iteration=4, before={}, note=1, action=0, after={}, feedback=None, versions={}, teacher="anna"
+    )
+    died(rig, iteration=5, unjudged=[unjudged])
+    rig.reward(4, 0.5)
+    rig.sense(5)
+    rig.command(5)
+    assert [judged(pair) for pair in rig.said(keys.PAIR)] == [(4, 0.5, ["anna"])]
+
+
+def test_what_was_tried_is_known_after_a_restart() -> None:
+    rig = Rig(teacher=False)
+    tried = {"notes": [-1, 2, 2], "actions": [0, 1, 9], "iterations": [3, 4, 2]}
+    died(rig, iteration=5, **{name: np.array(values, np.int64) for name, values in tried.items()})
+    assert rig.optimizer._tried[None].tolist() == [3, -1, -1]
+    assert rig.optimizer._tried[2].tolist() == [-1, 4, -1]

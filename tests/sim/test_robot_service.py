@@ -1,12 +1,17 @@
 """The robot service: each action is done once, and whatever else comes is answered or refused."""
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
+
+import msgspec
+import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_sim.robot import Placement, Pose, RobotConfig, RobotError, Step, make_robot
-from mdb_sim.robot_service import RobotService
+from mdb_sim.robot_service import SHOWN_AGAIN_S, RobotService
+from mdb_sim.state_file import StateFile
 
 BRAIN, SEED = "test", 7
 START = Placement(Pose(0.0, 0.0, 0.0), 1.0, 0.0)
@@ -58,6 +63,10 @@ class Body:
         self.closed = True
 
 
+def order(iteration: int, action: int, stamp: float) -> messages.Action:
+    return messages.Action(iteration=iteration, action=action, valid_for_s=1.0, stamp=stamp)
+
+
 class Rig:
     def __init__(self, body: Any = None, **options: Any) -> None:
         self.body = body or Body()
@@ -66,10 +75,14 @@ class Rig:
         self.perceptions = self.brain.subscriber(keys.PERCEPTION)
         self.scenes = self.brain.subscriber(keys.SCENE)
         self.actions = self.brain.publisher(keys.ACTION)
-        self.service = RobotService(MemoryBus(fabric, BRAIN), self.body, SEED, **options)
+        self.now = 100.0
+        self.service = RobotService(
+            MemoryBus(fabric, BRAIN), self.body, SEED, clock=lambda: self.now, **({"sleep": lambda _: None} | options)
+        )
 
-    def act(self, iteration: int, action: int = 1) -> messages.Perception | None:
-        self.actions.put(messages.Action(iteration=iteration, action=action, valid_for_s=1.0))
+    def act(self, iteration: int, action: int = 1, *, age_s: float = 0.0) -> messages.Perception | None:
+        """Say an action that answers what was shown so long ago; return what is shown then."""
+        self.actions.put(order(iteration, action, self.now - age_s))
         assert self.service.step() is True
         perception: messages.Perception | None = self.perceptions.take()
         return perception
@@ -104,7 +117,7 @@ def test_an_action_sent_again_is_done_once_and_its_perception_shown_again() -> N
 
 def test_of_actions_that_came_together_the_newest_is_done() -> None:
     rig = Rig()
-    rig.actions.put(messages.Action(iteration=0, action=1, valid_for_s=1.0))
+    rig.actions.put(order(0, 1, rig.now))
     rig.act(0, 2)
     assert rig.body.done == [2]
 
@@ -168,3 +181,86 @@ def test_closing_frees_the_body_and_values_say_where_it_is() -> None:
     assert rig.service.values()["iteration"] == 1
     rig.service.close()
     assert rig.body.closed
+
+
+def test_an_action_that_answers_what_was_shown_too_long_ago_is_not_done() -> None:
+    rig = Rig()
+    rig.perceptions.take()
+    again = rig.act(0, 2, age_s=1.1)
+    assert again is not None
+    assert (again.iteration, again.stamp) == (0, rig.now), "it is shown again, so that a fresh action can answer"
+    assert (rig.body.done, rig.service.values()["late"]) == ([], 1.0)
+    rig.act(0, 2, age_s=0.9)
+    assert rig.body.done == [2]
+
+
+def test_a_process_that_was_frozen_does_nothing_of_what_came_meanwhile() -> None:
+    rig = Rig()
+    shown = rig.perceptions.take()
+    rig.actions.put(order(0, 2, shown.stamp))
+    rig.now += 3600.0
+    assert rig.service.step() is True
+    assert rig.body.done == []
+
+
+def test_what_is_perceived_is_shown_again_while_no_action_comes() -> None:
+    rig = Rig()
+    first, _ = rig.perceptions.take(), rig.scenes.take()
+    rig.service.step()
+    assert rig.perceptions.take() is None
+    rig.now += SHOWN_AGAIN_S
+    rig.service.step()
+    again = rig.perceptions.take()
+    assert again == replace_stamp(first, rig.now)
+    assert rig.scenes.take() is not None
+    assert rig.body.done == []
+
+
+def replace_stamp(perception: messages.Perception, stamp: float) -> messages.Perception:
+    return msgspec.structs.replace(perception, stamp=stamp)
+
+
+@pytest.mark.parametrize("body", ["kinematic", "pybullet"])
+def test_a_killed_robot_goes_on_where_it_was(body: str, tmp_path: Path) -> None:
+    if body == "pybullet":
+        pytest.importorskip("pybullet", reason="needs the pybullet extra (Python 3.11)")
+    actions = [(3 * i) % 7 for i in range(60)]
+    straight = Rig(make_robot(body, RobotConfig()))
+    expected = [straight.act(i, action) for i, action in enumerate(actions)]
+    file = StateFile(tmp_path / "robot.state")
+    rig = Rig(make_robot(body, RobotConfig()), file=file)
+    got = []
+    for i, action in enumerate(actions):
+        if i % 7 == 3:
+            rig = Rig(make_robot(body, RobotConfig()), file=file)
+            shown = rig.perceptions.take()
+            assert shown == got[-1], "what it showed last, the optimizer's intention with it"
+        got.append(rig.act(i, action))
+    assert got == expected
+    captures = [rig.service.values()["captures"], straight.service.values()["captures"]]
+    assert captures[0] == captures[1]
+    assert {step.event for step in expected if step is not None} > {"none"}, "new placements are drawn as before"
+
+
+def test_a_damaged_state_is_set_aside_and_the_robot_begins_anew(tmp_path: Path) -> None:
+    path = tmp_path / "robot.state"
+    rig = Rig(file=StateFile(path))
+    rig.act(0)
+    path.write_bytes(path.read_bytes()[:-3])
+    rig = Rig(file=StateFile(path))
+    assert rig.perceptions.take().iteration == 0
+    assert (tmp_path / "robot.damaged").exists()
+    rig.act(0)
+    assert StateFile(path).read() is not None
+
+
+def test_a_state_that_the_body_cannot_take_is_left(tmp_path: Path) -> None:
+    file = StateFile(tmp_path / "robot.state", power_safe=True)
+    rig = Rig(file=file)
+    rig.act(0)
+    state = file.read()
+    assert state is not None
+    far = msgspec.structs.replace(state.scene.now, x_m=1e5)
+    file.write(msgspec.structs.replace(state, scene=msgspec.structs.replace(state.scene, now=far)))
+    rig = Rig(make_robot("kinematic", RobotConfig()), file=file)
+    assert rig.perceptions.take().iteration == 0
