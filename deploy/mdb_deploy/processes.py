@@ -130,6 +130,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
         "optimizer": lambda bus: _optimizer(bus, experiment),
         "robot": lambda bus: experiment.robot_service(bus, run_folder, gui=options.gui),
         "teacher": experiment.teacher_service,
+        "ear": lambda bus: _ear(bus, experiment),
     }
     if name not in builders:
         raise ConfigError(f"no service {name!r}; there are router, {', '.join(builders)}")
@@ -158,7 +159,8 @@ def _memory(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:
     from mdb_services.memory_file import MemoryFile
     from mdb_services.memory_store import MemoryStore
 
-    return MemoryStore(bus, experiment.brain, MemoryFile(run_folder / MEMORY_FILE))
+    power_safe = experiment.brain.store.durability == "power"
+    return MemoryStore(bus, experiment.brain, MemoryFile(run_folder / MEMORY_FILE, power_safe=power_safe))
 
 
 def _evolver(bus: Bus, experiment: Experiment, model: str | None) -> Service:
@@ -169,6 +171,12 @@ def _evolver(bus: Bus, experiment: Experiment, model: str | None) -> Service:
         raise ConfigError(f"an evolver needs --model; this experiment has {names}")
     os.nice(EVOLVER_NICE)
     return Evolver(bus, experiment.brain, model)
+
+
+def _ear(bus: Bus, experiment: Experiment) -> Service:
+    from mdb_services.ear import Ear
+
+    return Ear(bus, experiment.brain)
 
 
 def _optimizer(bus: Bus, experiment: Experiment) -> Service:

@@ -79,13 +79,17 @@ class Effects:
 class MemoryFile:
     """See the module's docstring."""
 
-    def __init__(self, path: Path) -> None:
-        """Open or create; MdbError when the file is not a usable database."""
+    def __init__(self, path: Path, *, power_safe: bool = False) -> None:
+        """Open or create; MdbError when the file is not a usable database.
+
+        What was written survives the death of this process; with `power_safe` (SQLite's synchronous mode FULL instead
+        of NORMAL) also a loss of power, for a disk's round trip a pair.
+        """
         self._path = path
         try:
             self._db = sqlite3.connect(path, isolation_level=None)
             self._db.execute("PRAGMA journal_mode=WAL")
-            self._db.execute("PRAGMA synchronous=NORMAL")
+            self._db.execute(f"PRAGMA synchronous={'FULL' if power_safe else 'NORMAL'}")
             self._db.executescript(SCHEMA)
         except sqlite3.Error as error:
             raise self.unusable(error) from error

@@ -26,6 +26,8 @@ from mdb_services.model_memory import ModelMemory
 log = structlog.get_logger()
 
 ROLE = "memory"
+RETRY_S = 1.0
+"""How often a disk that takes nothing is tried again."""
 
 
 class MemoryStore:
@@ -45,6 +47,9 @@ class MemoryStore:
         self._kept: dict[str, messages.CurrentModel] = {}
         self._duplicates = 0
         self._waiting: messages.Pair | None = None
+        self._retry_s = 0.0
+        """When to write again after the disk took nothing; 0 while it does."""
+        self._unwritten = 0
         self._after_late_feedback: dict[str, int] = {}
         self._waiting_since_s = 0.0
         self._gave_up = 0
@@ -98,18 +103,40 @@ class MemoryStore:
         while (model := self._models.take()) is not None:
             moved = True
             if model.model in self._memories and self._remember(model):
-                self._file.keep_model(model)
+                self._written(lambda model=model: self._file.keep_model(model))  # type: ignore[misc]
         for inbox in self._checkpoints:
             while (checkpoint := inbox.take()) is not None:
                 moved = True
-                self._keep(checkpoint)
+                self._written(lambda checkpoint=checkpoint: self._keep(checkpoint))  # type: ignore[misc]
         while (pair := self._waiting or self._pairs.take()) is not None:
             if not self._is_due(pair):
                 break
+            if not self._written(lambda pair=pair: self._store(pair)):  # type: ignore[misc]
+                self._waiting = pair
+                break
             self._waiting = None
-            self._store(pair)
             moved = True
         return moved
+
+    def _written(self, write: Callable[[], None]) -> bool:
+        """Write, unless the disk takes nothing: then say so once, and try again only after a while.
+
+        A pair is not acknowledged before it is on disk, so that nothing is lost without a word.
+        """
+        if self._clock() < self._retry_s:
+            return False
+        try:
+            write()
+        except sqlite3.OperationalError as error:
+            if not self._retry_s:
+                log.error("cannot write to disk; trying again", every_s=RETRY_S, reason=str(error))
+            self._unwritten += 1
+            self._retry_s = self._clock() + RETRY_S
+            return False
+        if self._retry_s:
+            log.info("writing to disk again", failures=self._unwritten)
+            self._retry_s = 0.0
+        return True
 
     def _keep(self, checkpoint: messages.Checkpoint) -> None:
         """Keep a checkpoint, unless it is of a memory that is not (yet) on disk."""
@@ -210,8 +237,9 @@ class MemoryStore:
         return effects, stored
 
     def values(self) -> dict[str, float]:
-        """Pairs on disk, duplicates refused, waits given up, and what each model's memories say of themselves."""
+        """Pairs on disk, duplicates, waits given up, whether the disk refuses to write, and each model's memories."""
         counts = {"duplicates": float(self._duplicates), "gave_up.models": float(self._gave_up)}
+        counts |= {"unwritten": float(self._unwritten), "disk_refuses": float(self._retry_s > 0)}
         memories = [memory.values() for memory in self._memories.values()]
         return {"pairs": float(self._file.count()), **counts, **{k: v for m in memories for k, v in m.items()}}
 

@@ -61,6 +61,7 @@ class Recorder:
         self._run, self._clock = run, clock
         self._count = self._bytes = 0
         self._flushed_s = clock()
+        self._lost, self._broken = 0, False
         self._begin()
         self._tap = bus.tap()
 
@@ -83,12 +84,26 @@ class Recorder:
         """Write everything that has come."""
         moved = False
         while (raw := self._tap.take()) is not None:
-            self._write(raw)
+            self._try(lambda raw=raw: self._write(raw))  # type: ignore[misc]
             moved = True
         if self._clock() - self._flushed_s >= FLUSH_S:
-            self._file.flush()
+            self._try(self._file.flush)
             self._flushed_s = self._clock()
         return moved
+
+    def _try(self, write: Callable[[], None]) -> None:
+        """Write, unless the disk takes nothing: what is lost is counted, and said once; then a new segment begins."""
+        try:
+            if self._broken:
+                self._begin()
+                self._broken = False
+                log.info("recording again", lost=self._lost)
+            write()
+        except OSError as error:
+            if not self._lost:
+                log.error("cannot write the run log; what comes meanwhile is lost to it", reason=str(error))
+            self._lost += 1
+            self._broken = True
 
     def _write(self, raw: Raw) -> None:
         channel = self._channels.get((raw.key, raw.encoding))
@@ -109,13 +124,14 @@ class Recorder:
         self._bytes += len(raw.payload)
 
     def values(self) -> dict[str, float]:
-        """Messages and payload bytes written."""
-        return {"messages": float(self._count), "bytes": float(self._bytes)}
+        """Messages and payload bytes written, and messages that the disk did not take."""
+        return {"messages": float(self._count), "bytes": float(self._bytes), "lost": float(self._lost)}
 
     def close(self) -> None:
         """Write what is still there and finish the file."""
         self.step()
-        self._end()
+        if not self._broken:
+            self._try(self._end)
 
 
 class Recorded(NamedTuple):

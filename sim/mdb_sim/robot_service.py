@@ -116,9 +116,17 @@ class RobotService:
         if self._acted_s < self._action_s:
             self._sleep(self._action_s - self._acted_s)
         self._perception, self._scene = self._seen(self._last, action, before)
-        if self._file is not None:
-            self._file.write(self._state())
+        self._keep()
         self._show()
+
+    def _keep(self) -> None:
+        """Write where the robot is; on a disk that takes nothing a death now costs the steps since."""
+        if self._file is None:
+            return
+        try:
+            self._file.write(self._state())
+        except OSError as error:
+            self.bus.refusals.add(keys.ACTION.path, f"done, but the robot's state cannot be written: {error}")
 
     def _state(self) -> messages.RobotState:
         last = self._last
