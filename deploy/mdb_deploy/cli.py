@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import structlog
 
+from mdb_deploy import keys_command
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
@@ -22,6 +23,7 @@ first steps:
   mdb up --pace lockstep --seed 3         the same, repeatable value by value
   mdb up --inline --iterations 600        in one process, without a router
   mdb up my.toml --set evolution.population=400 --set robot.body=kinematic
+  mdb up --no-teacher                     you teach, with 'mdb teach' in another terminal
   mdb status                              who is alive, and how each process does
   mdb plot RUN                            the figures again, from the run's log alone
 """
@@ -65,12 +67,24 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_up(commands)
     _add_run(commands)
+    _add_teach(commands)
     _add_small(commands)
+    keys_command.add(commands)
     _add_ltm(commands)
     return parser
 
 
 Commands = argparse._SubParsersAction
+KEYS_HELP = "your bundle of 'mdb keys', or on the brain's machine the key folder; for a router at tls/ or quic/"
+OPEN_HELP = "listen beyond this machine without keys: everyone there may read all and command the robot"
+
+
+def _keys_path(text: str) -> Path | None:
+    return Path(text).resolve() if text else None  # compose.yaml gives an empty word for none
+
+
+def _add_keys(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--keys", type=_keys_path, metavar="PATH", help=KEYS_HELP)
 
 
 def _add_experiment(parser: argparse.ArgumentParser) -> None:
@@ -89,11 +103,19 @@ def _add_up(commands: Commands[argparse.ArgumentParser]) -> None:
     up.add_argument("--inline", action="store_true", help="everything in this process, in lockstep")
     up.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder is made (runs)")
     up.add_argument("--listen", default=DEFAULT_ENDPOINT, help="the router's endpoint; port 0: any free one")
+    up.add_argument("--keys", type=_keys_path, metavar="DIR", help="key folder, for --listen tls/0.0.0.0:7447")
+    up.add_argument("--open-to-everyone", action="store_true", help=OPEN_HELP)
     up.add_argument("--gui", action="store_true", help="show the PyBullet window")
     up.add_argument(
         "--long-term", type=Path, metavar="SOURCE", help="begin with the models of a run or of an 'mdb ltm export'"
     )
     up.add_argument("--no-plot", action="store_true", help="no figures at the end")
+    up.add_argument(
+        "--resume", type=Path, metavar="RUN", help="go on with the run in this folder, its experiment included"
+    )
+    up.add_argument(
+        "--no-teacher", action="store_true", help="no scripted teacher: begin when you have come, 'mdb teach'"
+    )
     up.set_defaults(command=_up)
 
 
@@ -103,6 +125,8 @@ def _add_run(commands: Commands[argparse.ArgumentParser]) -> None:
     run.add_argument("--run", type=Path, help="run folder with experiment.toml")
     run.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
     run.add_argument("--listen", help="router: its endpoint; port 0: any free one")
+    _add_keys(run)
+    run.add_argument("--open-to-everyone", action="store_true", help=f"router: {OPEN_HELP}")
     run.add_argument("--model", help="evolver: the model it evolves")
     run.add_argument("--gui", action="store_true", help="robot: show the PyBullet window")
     run.add_argument("--with-parent", action="store_true", help="stop when the parent process is gone")
@@ -113,11 +137,44 @@ def _add_run(commands: Commands[argparse.ArgumentParser]) -> None:
     prepare.set_defaults(command=_prepare)
 
 
+TEACH_EPILOG = """\
+notes        z x c v b n m (then a s d f g), one each; space: silence
+feedback     0 (punishment, -1) to 9 (reward, +1) in steps of 2/9; + and - for the whole; for the action on the screen
+language     what your notes mean is yours alone: l changes it at any time, --language begins with
+             'reversed' (the keys lie as the turns do), 'ordered', 'paper', 'random:SEED' or 'notes:3,0,1,...'
+p pause      there but silent, so that the brain need not wait; q leaves
+
+a brain that waits longer for a person, and its teacher:
+  mdb up --no-teacher --set optimizer.command_patience_s=20 --set optimizer.feedback_patience_s=5
+  mdb teach --name ann
+"""
+
+
+def _add_teach(commands: Commands[argparse.ArgumentParser]) -> None:
+    teach = commands.add_parser(
+        "teach",
+        help="teach a brain from this terminal",
+        description="See the robot, say notes, reward and punish. Needs the extra 'teach' only.",
+        epilog=TEACH_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    teach.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
+    _add_keys(teach)
+    teach.add_argument("--brain", help="the brain's name (as your keys say, or pioneer)")
+    teach.add_argument("--name", help="your name among the teachers (as your keys say, or teacher)")
+    teach.add_argument("--language", default="reversed", help="what your notes mean at the beginning (reversed)")
+    teach.add_argument("--suggest", action="store_true", help="begin with the hint on: which command would be right")
+    teach.add_argument("--auto", action="store_true", help="teach by itself, as the scripted teacher does")
+    teach.add_argument(
+        "--experiment", type=Path, metavar="FILE", help="whose [robot.world] says what the actions are (the shipped)"
+    )
+    teach.set_defaults(command=_teach)
+
+
 def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
     test = commands.add_parser("test", help="run the tests; all further words go to pytest", add_help=False)
     test.set_defaults(command=_test)
-    keys = commands.add_parser("keys", help="print the key table")
-    keys.set_defaults(command=_keys)
     plot = commands.add_parser("plot", help="draw the figures of a run from its log alone")
     plot.add_argument("run", type=Path, nargs="+", help="run folder; several: one figure with a confidence band")
     plot.add_argument("--out", type=Path, help="where the figures go (the run folder)")
@@ -128,6 +185,7 @@ def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
     for parser in (status, health):
         parser.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
         parser.add_argument("--brain", default="pioneer", help="the brain's name")
+        _add_keys(parser)
     status.set_defaults(command=_status)
     health.set_defaults(command=_health)
     acceptance = commands.add_parser("acceptance", help="many seeds, judged by the acceptance table")
@@ -256,25 +314,46 @@ def overrides_of(arguments: argparse.Namespace) -> list[str]:
 def _up(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from mdb_deploy.processes import ENDPOINT_FILE
     from mdb_deploy.progress import Progress
-    from mdb_deploy.up import UpOptions, new_run_folder, up_inline, up_processes
-    from mdb_services.config import EXPERIMENT_FILE
+    from mdb_deploy.up import UpOptions, check_listen, new_run_folder, up_inline, up_processes
+    from mdb_services.config import EXPERIMENT_FILE, read_file
     from mdb_sim.experiment import Experiment
 
     overrides = overrides_of(arguments)
     if arguments.inline:
         overrides.append("experiment.pace=lockstep")
-    experiment = Experiment.read(experiment_path(arguments.experiment), overrides)
+    path = experiment_path(arguments.experiment) if arguments.resume is None else arguments.resume / EXPERIMENT_FILE
+    content = read_file(path, overrides)
+    if arguments.no_teacher:
+        content.pop("teacher", None)
+    experiment = Experiment(content, path)
     section = experiment.brain.experiment
-    run = new_run_folder(arguments.runs.resolve(), section.name, section.seed)
+    if not arguments.inline:
+        check_listen(arguments.listen, arguments.keys, section.brain, open_to_everyone=arguments.open_to_everyone)
+    if arguments.resume is not None and (arguments.inline or arguments.long_term):
+        raise MdbError("--resume goes on with a run of processes as it was: leave --inline and --long-term out")
+    run = arguments.resume or new_run_folder(arguments.runs.resolve(), section.name, section.seed)
+    run = run.resolve()
     if arguments.long_term is not None:
         from mdb_deploy import ltm
 
         experiment.write(run / EXPERIMENT_FILE)
         ltm.bring(arguments.long_term, (), run)
-    options = UpOptions(run, arguments.listen, arguments.gui)
+    options = UpOptions(
+        run,
+        arguments.listen,
+        arguments.gui,
+        arguments.keys,
+        arguments.open_to_everyone,
+        await_teacher=arguments.no_teacher,
+    )
     console = Console(stderr=False)
     console.print(f"{section.name}: {section.iterations} iterations, {section.pace}, seed {section.seed}")
+    if arguments.no_teacher and not arguments.inline:
+        listen = f"$(cat {run / ENDPOINT_FILE})" if arguments.listen.endswith(":0") else arguments.listen
+        bundle = " --keys YOUR_BUNDLE" if arguments.keys else ""
+        console.print(f"begins when somebody teaches: mdb teach --connect {listen}{bundle}", soft_wrap=True)
     run_it = up_inline if arguments.inline else up_processes
     status = run_it(experiment, options, Progress(console, section.iterations))
     if not arguments.no_plot:
@@ -284,19 +363,39 @@ def _up(arguments: argparse.Namespace) -> int:
     return status
 
 
+def _teach(arguments: argparse.Namespace) -> int:
+    try:
+        from mdb_deploy.teach.run import TeachOptions, teach
+    except ModuleNotFoundError as error:
+        raise MdbError(f"teaching needs {error.name}: pip install 'multilevel-darwinist-brain[teach]'") from error
+    return teach(
+        TeachOptions(
+            connect=arguments.connect,
+            brain=arguments.brain,
+            name=arguments.name,
+            keys=arguments.keys,
+            language=arguments.language,
+            experiment=arguments.experiment,
+            suggest=arguments.suggest,
+            auto=arguments.auto,
+        )
+    )
+
+
 def _run(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.processes import ServiceOptions, run_router, run_service
+    from mdb_deploy.processes import RouterOptions, ServiceOptions, run_router, run_service
     from mdb_services.service import Stopper
 
     stop = Stopper(with_parent=arguments.with_parent)
     stop.install()
     if arguments.service == "router":
-        run_router(arguments.run, arguments.listen, stop)
+        options = RouterOptions(arguments.run, arguments.listen, arguments.keys, arguments.open_to_everyone)
+        run_router(options, stop)
         return 0
     if arguments.run is None:
         raise MdbError(f"mdb run {arguments.service} needs --run FOLDER; 'mdb prepare --run FOLDER' makes one")
-    options = ServiceOptions(arguments.run, arguments.connect, arguments.model, arguments.gui)
-    run_service(arguments.service, options, stop)
+    service = ServiceOptions(arguments.run, arguments.connect, arguments.model, arguments.gui, arguments.keys)
+    run_service(arguments.service, service, stop)
     return 0
 
 
@@ -323,13 +422,6 @@ def _test(arguments: argparse.Namespace) -> int:
     return status
 
 
-def _keys(_: argparse.Namespace) -> int:
-    from mdb_protocol.keys import table
-
-    sys.stdout.write(table() + "\n")
-    return 0
-
-
 def _plot(arguments: argparse.Namespace) -> int:
     for path in _draw(arguments.run, arguments.out):
         sys.stdout.write(f"{path}\n")
@@ -345,13 +437,13 @@ def _draw(runs: list[Path], out: Path | None) -> list[Path]:
 def _status(arguments: argparse.Namespace) -> int:
     from mdb_deploy.status import show_status
 
-    return show_status(arguments.brain, arguments.connect)
+    return show_status(arguments.brain, arguments.connect, arguments.keys)
 
 
 def _health(arguments: argparse.Namespace) -> int:
     from mdb_protocol.zenoh_bus import ZenohBus
 
-    with ZenohBus(arguments.brain, arguments.connect, connect_timeout_s=1.0) as bus:
+    with ZenohBus(arguments.brain, arguments.connect, credentials=arguments.keys, connect_timeout_s=1.0) as bus:
         return 0 if arguments.name == "router" or arguments.name in bus.alive() else 1
 
 

@@ -21,6 +21,8 @@ COMPOSE_FILE = Path(__file__).parents[1] / "compose.yaml"
 VARIABLE = re.compile(r"\$\{(\w+)(?::-([^}]*))?\}")
 ROUTER = "router"
 TEACHER = "teacher"
+EAR = "ear"
+OPTIMIZER = "optimizer"
 ROBOT = "robot"
 
 
@@ -34,10 +36,12 @@ class ProcessSpec:
     token: str
     environment: Mapping[str, str]
     restarts: bool
+    awaits: str = ""
+    """A role: not started before somebody of it is alive."""
 
     def argv(self, variables: Mapping[str, str]) -> list[str]:
-        """Return the command with its variables filled in."""
-        return [fill(word, variables) for word in self.command]
+        """Return the command with its variables filled in; a word that is empty then is left out."""
+        return [filled for word in self.command if (filled := fill(word, variables))]
 
 
 def fill(word: str, variables: Mapping[str, str]) -> str:
@@ -98,7 +102,7 @@ def in_order(specs: Mapping[str, ProcessSpec]) -> dict[str, ProcessSpec]:
 
 
 def for_experiment(specs: Mapping[str, ProcessSpec], experiment: Experiment) -> dict[str, ProcessSpec]:
-    """Return the processes an experiment needs: one evolver a model, a teacher only if the file has one."""
+    """Return the processes an experiment needs: an evolver a model, a teacher and an ear only if the file has one."""
     evolvers = {s.command[s.command.index("--model") + 1]: s for s in specs.values() if "--model" in s.command}
     if not evolvers:
         raise ConfigError("the compose file has no evolver (a command with --model) to take as a pattern")
@@ -106,12 +110,14 @@ def for_experiment(specs: Mapping[str, ProcessSpec], experiment: Experiment) -> 
     chosen = {s.name: s for s in specs.values() if "--model" not in s.command}
     if experiment.teacher is None:
         chosen.pop(TEACHER, None)
+    if experiment.brain.ear is None:
+        chosen.pop(EAR, None)
     names = [model.name for model in experiment.brain.model]
     for name in names:
         spec = evolvers.get(name) or _for_model(pattern, name)
         chosen[spec.name] = spec
     gone = set(specs) - set(chosen)
-    added = {s.name for s in chosen.values() if "--model" in s.command}
+    added = {s.name for s in chosen.values() if "--model" in s.command or s.name == EAR}
     waits_for_evolvers = {s.name for s in specs.values() if any("evolver" in a for a in s.after)}
     result = {}
     for spec in chosen.values():

@@ -80,16 +80,16 @@ class Runner:
         self.children = {name: Child(spec, logs / f"{name}.log") for name, spec in specs.items()}
         self.failed: asyncio.Future[StartError] = asyncio.get_running_loop().create_future()
 
-    def connect(self, endpoint: str) -> None:
-        """Tell the processes started from now on where the router is; itself comes back there if it dies."""
-        self._variables |= {"MDB_CONNECT": endpoint, "MDB_LISTEN": endpoint}
+    def connect(self, endpoint: str, listen: str) -> None:
+        """Tell the processes started from now on where the router is; itself listens there again if it dies."""
+        self._variables |= {"MDB_CONNECT": endpoint, "MDB_LISTEN": listen}
 
     async def start(self, on_ready: Callable[[str], None] = lambda _: None) -> None:
         """Start every process once those it waits for are ready; StartError when one is not in time."""
         await asyncio.gather(*(self._start(child, on_ready) for child in self.children.values()))
 
     async def _start(self, child: Child, on_ready: Callable[[str], None]) -> None:
-        while not all(self.children[name].was_ready for name in child.spec.after):
+        while not (all(self.children[name].was_ready for name in child.spec.after) and self._somebody(child.spec)):
             await self._pause(child)
         await self._spawn(child)
         deadline = time.monotonic() + READY_S
@@ -103,6 +103,9 @@ class Runner:
         child.was_ready = True
         on_ready(child.spec.name)
         self._watchers.append(asyncio.create_task(self._watch(child)))
+
+    def _somebody(self, spec: ProcessSpec) -> bool:
+        return not spec.awaits or any(name.startswith(f"{spec.awaits}/") for name in self._alive())
 
     async def _pause(self, child: Child) -> None:
         if self._stopping:

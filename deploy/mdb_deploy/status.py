@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from rich.console import Console
 from rich.table import Table
 
@@ -14,10 +16,10 @@ from mdb_protocol.zenoh_bus import ZenohBus
 QUERY_S = 2.0
 
 
-def show_status(brain: str, connect: str) -> int:
+def show_status(brain: str, connect: str, credentials: Path | None = None) -> int:
     """Print a row for each living service; return 1 when nobody lives."""
     console = Console()
-    with ZenohBus(brain, connect, connect_timeout_s=1.0) as bus:
+    with ZenohBus(brain, connect, credentials=credentials, connect_timeout_s=1.0) as bus:
         alive = sorted(bus.alive())
         table = Table(title=f"mdb/{brain} at {connect}")
         for column in ("service", "pid", "up", "figures", "refused"):

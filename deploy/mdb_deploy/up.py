@@ -7,26 +7,29 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mdb_deploy.compose import ROBOT, ROUTER, for_experiment, read
+from mdb_deploy.compose import OPTIMIZER, ROBOT, ROUTER, TEACHER, for_experiment, read
 from mdb_deploy.processes import ENDPOINT_FILE
 from mdb_deploy.progress import Progress
 from mdb_deploy.runner import Runner, StartError
-from mdb_protocol import keys
+from mdb_protocol import endpoints, keys
+from mdb_protocol.bundle import Bundle
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.config import EXPERIMENT_FILE
 from mdb_sim.experiment import Experiment
 
+LOCK_FILE = "lock"
 POLL_S = 0.05
 STALLED_S = 60.0
-"""Without a new iteration for so long the run is given up."""
+"""Without a new iteration for so long, and what the brain waits for a teacher besides, the run is given up."""
 ENDED_BY_USER = 130
 
 
@@ -37,6 +40,20 @@ class UpOptions:
     run: Path
     listen: str
     gui: bool = False
+    keys: Path | None = None
+    open_to_everyone: bool = False
+    await_teacher: bool = False
+    """Let the experiment begin when somebody has come to teach."""
+
+
+def check_listen(listen: str, keys: Path | None, brain: str, *, open_to_everyone: bool) -> None:
+    """Raise, before anything is started, what router and services would: who may listen where, with which keys."""
+    endpoints.check_listen(listen, has_keys=keys is not None, open_to_everyone=open_to_everyone)
+    if keys is not None:
+        from mdb_deploy.credentials import KeyFolder
+
+        KeyFolder(keys).router_keys(listen)
+        Bundle.find(keys, brain)
 
 
 def new_run_folder(base: Path, name: str, seed: int) -> Path:
@@ -66,8 +83,20 @@ def up_inline(experiment: Experiment, options: UpOptions, progress: Progress) ->
 
 def up_processes(experiment: Experiment, options: UpOptions, progress: Progress) -> int:
     """Run the processes of the compose file; return the exit status."""
-    experiment.write(options.run / EXPERIMENT_FILE)
-    return asyncio.run(_up(experiment, options, progress))
+    with _alone_in(options.run):
+        experiment.write(options.run / EXPERIMENT_FILE)
+        return asyncio.run(_up(experiment, options, progress))
+
+
+@contextlib.contextmanager
+def _alone_in(run: Path) -> Iterator[None]:
+    """Hold the run folder; MdbError when another `mdb up` does. The lock ends with its process, however it ends."""
+    with (run / LOCK_FILE).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise MdbError(f"another 'mdb up' works in {run}; stop it first, or give another folder") from None
+        yield
 
 
 async def _up(experiment: Experiment, options: UpOptions, progress: Progress) -> int:
@@ -75,13 +104,21 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
-    watch = _Watch(experiment, options.run)
-    variables = {"MDB_RUN_INSIDE": str(options.run), "MDB_LISTEN": options.listen, "MDB_CONNECT": ""}
+    watch = _Watch(experiment, options)
+    variables = {
+        "MDB_RUN_INSIDE": str(options.run),
+        "MDB_LISTEN": options.listen,
+        "MDB_CONNECT": "",
+        "MDB_KEYS": str(options.keys or ""),
+        "MDB_OPEN": "--open-to-everyone" if options.open_to_everyone else "",
+    }
     specs = for_experiment(read(), experiment)
     if options.gui:
         specs[ROBOT] = replace(specs[ROBOT], command=(*specs[ROBOT].command, "--gui"))
+    if options.await_teacher:
+        specs[OPTIMIZER] = replace(specs[OPTIMIZER], awaits=TEACHER)
     runner = Runner(specs, variables, options.run / "logs", watch.alive)
-    watch.on_endpoint = runner.connect
+    watch.on_endpoint = lambda found: runner.connect(found, endpoints.with_port_of(options.listen, found))
     status = 0
     try:
         with progress:
@@ -102,7 +139,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
 
 async def _follow(watch: _Watch, runner: Runner, stop: asyncio.Event, progress: Progress) -> int:
     """Show the run until it is finished, stopped or stalled."""
-    moved_s = time.monotonic()
+    moved_s, stalled_s = time.monotonic(), STALLED_S + watch.patience_s
     while not stop.is_set():
         if runner.failed.done():
             raise runner.failed.result()
@@ -110,8 +147,8 @@ async def _follow(watch: _Watch, runner: Runner, stop: asyncio.Event, progress: 
             moved_s = time.monotonic()
         if watch.finished():
             return 0
-        if time.monotonic() - moved_s > STALLED_S:
-            raise StartError(f"no iteration for {STALLED_S:g} s; the logs of the processes are beside the run's log")
+        if time.monotonic() - moved_s > stalled_s:
+            raise StartError(f"no iteration for {stalled_s:g} s; the logs of the processes are beside the run's log")
         await asyncio.sleep(POLL_S)
     return ENDED_BY_USER
 
@@ -119,9 +156,13 @@ async def _follow(watch: _Watch, runner: Runner, stop: asyncio.Event, progress: 
 class _Watch:
     """What the runner's own process hears of the brain: who is alive, and the progress."""
 
-    def __init__(self, experiment: Experiment, run: Path) -> None:
+    def __init__(self, experiment: Experiment, options: UpOptions) -> None:
         self._brain = experiment.brain.experiment.brain
-        self._endpoint = run / ENDPOINT_FILE
+        settings = experiment.brain.optimizer
+        self.patience_s = settings.command_patience_s + settings.feedback_patience_s
+        """How long a teacher who hesitates may hold up an iteration."""
+        self._keys = options.keys
+        self._endpoint = options.run / ENDPOINT_FILE
         self._endpoint.unlink(missing_ok=True)
         self._bus: Bus | None = None
         self.on_endpoint: Callable[[str], None] = lambda _: None
@@ -134,7 +175,7 @@ class _Watch:
 
     def _join(self, endpoint: str) -> None:
         try:
-            self._bus = ZenohBus(self._brain, endpoint, connect_timeout_s=0.0)
+            self._bus = ZenohBus(self._brain, endpoint, credentials=self._keys, connect_timeout_s=0.0)
         except BusError:
             return
         self._reports = self._bus.subscriber(keys.ITERATION)

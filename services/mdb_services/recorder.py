@@ -34,7 +34,6 @@ log = structlog.get_logger()
 ROLE = "recorder"
 PACKAGES = ("multilevel-darwinist-brain", "eclipse-zenoh", "numpy", "numba", "msgpack", "msgspec", "mcap", "pybullet")
 LOG_PATTERN = "run*.mcap"
-FLUSH_S = 0.5
 MAX_CHANNELS = 60_000
 """Pairs of key and encoding in one segment, whose format has room for 65535; then the next segment begins."""
 DAMAGE = (McapError, EOFError, struct.error, ValueError, LookupError, OverflowError, MemoryError)
@@ -55,12 +54,11 @@ class Recorder:
 
     role, instance = ROLE, "log"
 
-    def __init__(self, bus: Bus, run: Path, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, bus: Bus, run: Path) -> None:
         """Begin the next segment of the run's log; a restarted recorder never writes into an old one."""
         self.bus = bus
-        self._run, self._clock = run, clock
+        self._run = run
         self._count = self._bytes = 0
-        self._flushed_s = clock()
         self._lost, self._broken = 0, False
         self._begin()
         self._tap = bus.tap()
@@ -86,9 +84,8 @@ class Recorder:
         while (raw := self._tap.take()) is not None:
             self._try(lambda raw=raw: self._write(raw))  # type: ignore[misc]
             moved = True
-        if self._clock() - self._flushed_s >= FLUSH_S:
+        if moved:  # a kill then costs what has not come to this process yet, and nothing more
             self._try(self._file.flush)
-            self._flushed_s = self._clock()
         return moved
 
     def _try(self, write: Callable[[], None]) -> None:

@@ -238,6 +238,14 @@ def test_liveliness_shows_who_comes_and_goes(make_bus: MakeBus) -> None:
     until(watcher, lambda: watcher.alive() == frozenset())
 
 
+def test_who_has_a_token_is_admitted_where_nobody_is_denied(make_bus: MakeBus) -> None:
+    bus = make_bus()
+    assert not bus.admitted("teacher", "anna", 0.1)
+    bus.token("teacher", "anna")
+    assert bus.admitted("teacher", "anna", BOUND_S)
+    assert not bus.admitted("teacher", "bert", 0.1)
+
+
 def test_wait_is_bounded(make_bus: MakeBus) -> None:
     bus = make_bus()
     bus.wait(0.01)

@@ -59,6 +59,14 @@ def test_variables_take_their_value_or_default() -> None:
         fill("${B}", {})
 
 
+def test_the_router_is_open_in_containers_alone() -> None:
+    router = read()["router"]
+    inside = {"MDB_RUN_INSIDE": "/run", "MDB_LISTEN": "tcp/0.0.0.0:7447"}
+    assert router.argv(inside)[-2:] == ["--keys=", "--open-to-everyone"]
+    assert router.argv(inside | {"MDB_KEYS": "/keys", "MDB_OPEN": ""})[-1] == "--keys=/keys"
+    assert yaml.safe_load(COMPOSE_FILE.read_text())["services"]["router"]["ports"] == ["127.0.0.1:7447:7447"]
+
+
 def test_circle_is_refused() -> None:
     specs = read()
     from dataclasses import replace

@@ -65,12 +65,18 @@ class Brain:
     """`mdb up` in the background; leaves no process behind."""
 
     def __init__(
-        self, folder: Path, *settings: str, pace: str = "concurrent", experiment: tuple[str, tuple[str, ...]] = PAPER
+        self,
+        folder: Path,
+        *settings: str,
+        pace: str = "concurrent",
+        experiment: tuple[str, tuple[str, ...]] = PAPER,
+        options: tuple[str, ...] = (),
     ) -> None:
         self._folder = folder
         self._out = folder / "up.out"
         file, short = experiment
         words = ["up", file, "--runs", str(folder), "--listen", "tcp/127.0.0.1:0", "--no-plot", "--pace", pace]
+        words += options
         for setting in (*short, *settings):
             words += ["--set", setting]
         with self._out.open("wb") as out:

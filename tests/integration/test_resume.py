@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from mdb_deploy.cli import experiment_path
@@ -16,9 +17,10 @@ from mdb_services.evolver import Evolver
 from mdb_services.memory_file import MemoryFile
 from mdb_services.memory_store import MemoryStore
 from mdb_services.optimizer import Optimizer
+from mdb_services.recorder import read_log
 from mdb_services.service import Service, announce
 from mdb_sim.experiment import Experiment
-from tests.integration.brain import SHORT
+from tests.integration.brain import SHORT, Brain, mdb
 
 ROUNDS = 20_000
 """Bound on rounds of steps; a run takes about a thousand."""
@@ -68,6 +70,13 @@ class Mortal:
         pytest.fail("the run did not come to its end")
 
 
+def stored_pairs(run: Path) -> list[dict[str, Any]]:
+    with sqlite3.connect(run / MEMORY_FILE) as db:
+        rows = db.execute("SELECT payload FROM pair ORDER BY iteration").fetchall()
+    encoding = codec.encoding_of(messages.Pair)
+    return [codec.to_plain(codec.decode(messages.Pair, payload, encoding)) for (payload,) in rows]
+
+
 def lived(experiment: Experiment, run: Path, deaths: float = 0.0, seed: int = 0) -> tuple[dict[str, Any], int]:
     """Run to the end, each service dying with probability `deaths` in each round; return what came of it."""
     brain, rng, killed = Mortal(experiment, run), np.random.default_rng(seed), 0
@@ -81,15 +90,13 @@ def lived(experiment: Experiment, run: Path, deaths: float = 0.0, seed: int = 0)
 
     brain.finish(between)
     with sqlite3.connect(run / MEMORY_FILE) as db:
-        rows = db.execute("SELECT payload FROM pair ORDER BY iteration").fetchall()
         changes = db.execute("SELECT * FROM change ORDER BY 1, 2, 3").fetchall()
         models = db.execute("SELECT name, payload FROM model ORDER BY name").fetchall()
-    encoding = codec.encoding_of(messages.Pair)
     reports = {report.iteration: codec.to_plain(report) for report in iter(brain.reports.take, None)}
     for service in brain.services.values():
         service.close()
     return {
-        "pairs": [codec.to_plain(codec.decode(messages.Pair, payload, encoding)) for (payload,) in rows],
+        "pairs": stored_pairs(run),
         "changes": changes,
         "models": models,
         "captures": brain.services["robot"].values()["captures"],
@@ -110,3 +117,34 @@ def test_a_lockstep_run_with_deaths_is_the_one_without(tmp_path: Path, seed: int
     for what, expected in straight.items():
         assert broken[what] == expected, what
     assert [pair["iteration"] for pair in broken["pairs"]] == list(range(80))
+
+
+def test_a_run_whose_every_process_was_killed_goes_on_to_the_same_end(tmp_path: Path) -> None:
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    with Brain(folder, pace="lockstep") as brain, brain.bus() as bus:
+        reports, seen = bus.subscriber(keys.ITERATION), -1
+        while seen < 35:
+            bus.wait(1.0)
+            while (report := reports.take()) is not None:
+                seen = report.iteration
+        for process in [*brain.children(), psutil.Process(brain.process.pid)]:
+            process.kill()
+        brain.process.wait(10.0)
+        run = brain.run
+    resumed = mdb("up", "--resume", str(run), "--listen", "tcp/127.0.0.1:0", "--no-plot")
+    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
+    settings = [*SHORT, "experiment.pace=lockstep"]
+    straight, _ = lived(Experiment.read(experiment_path("paper"), settings), tmp_path / "straight")
+    assert stored_pairs(run) == straight["pairs"]
+    assert sorted(p.name for p in run.glob("run*.mcap")) == ["run-1.mcap", "run.mcap"]
+    logged = {r.message.iteration: r.message for r in read_log(run) if r.row is keys.ITERATION}  # type: ignore[attr-defined]
+    assert {i: codec.to_plain(report) for i, report in logged.items()}.items() <= straight["reports"].items()
+    assert 80 - len(logged) <= 2, "of what was on its way to the recorder when it died one report may be missing"
+
+
+def test_a_folder_in_which_a_brain_runs_is_not_taken(tmp_path: Path) -> None:
+    with Brain(tmp_path, "experiment.iterations=100000") as brain, brain.bus():
+        second = mdb("up", "--resume", str(brain.run), "--listen", "tcp/127.0.0.1:0")
+    assert second.returncode == 2
+    assert "another 'mdb up' works in" in second.stderr

@@ -1,0 +1,115 @@
+"""`mdb teach` from its options to its end: joins the brain, keeps the log off the screen, leaves cleanly."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from collections import deque
+from collections.abc import MutableMapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from mdb_deploy.teach.app import NOTE_KEYS, TeachApp
+from mdb_deploy.teach.session import TeachingSession
+from mdb_protocol.bundle import Bundle
+from mdb_protocol.errors import ConfigError, MdbError
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_services.config import convert, read_file
+from mdb_sim.robot import RobotConfig
+from mdb_sim.teacher import Language, TeacherError, make_language
+from mdb_sim.teacher_service import ROLE
+
+BRAIN, NAME = "pioneer", "teacher"
+ENDED_BY_SIGNAL = 130
+LOG_KEPT = 20
+"""Lines of the log that are written once the screen is given back."""
+
+
+@dataclass(frozen=True)
+class TeachOptions:
+    """What the command line says of a teacher."""
+
+    connect: str
+    brain: str | None
+    name: str | None
+    """None for both: as the keys say, or else `BRAIN` and `NAME`."""
+    language: str
+    keys: Path | None = None
+    experiment: Path | None = None
+    suggest: bool = False
+    auto: bool = False
+
+
+def teach(options: TeachOptions) -> int:
+    """Teach until the person leaves; return the exit status. MdbError when that cannot be, or failed."""
+    world = world_of(options.experiment)
+    language = language_of(options.language, world)
+    kept = keep_log()
+    brain, name = who(options)
+    with ZenohBus(brain, options.connect, credentials=options.keys) as bus:
+        if f"{ROLE}/{name}" in bus.alive():
+            raise MdbError(f"somebody teaches {brain} as {name} already; choose another --name")
+        session = TeachingSession(bus, name, language, world, auto=options.auto)
+        app = TeachApp(session, options.connect, suggest=options.suggest)
+        status = asyncio.run(_until_left(app))
+    sys.stderr.writelines(f"{line}\n" for line in kept)
+    if app.thread.failure is not None:
+        raise MdbError(f"teaching ended: {app.thread.failure}") from app.thread.failure
+    return status
+
+
+def who(options: TeachOptions) -> tuple[str, str]:
+    """Return the brain and the teacher's name: as the options say, or the keys, or else as they mostly are."""
+    user = Bundle.read(options.keys).user if options.keys is not None and options.keys.is_file() else None
+    return options.brain or (user.brain if user else BRAIN), options.name or (user.name if user else NAME)
+
+
+async def _until_left(app: TeachApp) -> int:
+    """Run the screen; a signal ends it as `q` does, so that the terminal is restored and presence withdrawn."""
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, app.exit, ENDED_BY_SIGNAL)
+    try:
+        status = await app.run_async()
+    finally:
+        app.thread.stop()
+    return app.return_code or 0 if status is None else status
+
+
+def world_of(experiment: Path | None) -> RobotConfig:
+    """Return the robot's world of an experiment file, or the shipped one; ConfigError when it cannot be taught."""
+    if experiment is None:
+        return RobotConfig()
+    section = read_file(experiment).get("robot", {}).get("world", {})
+    world = convert(section, RobotConfig, experiment)
+    if len(world.turns_deg) > len(NOTE_KEYS):
+        raise ConfigError(f"{experiment}: {len(world.turns_deg)} actions; there are keys for {len(NOTE_KEYS)}")
+    return world
+
+
+def language_of(name: str, world: RobotConfig) -> Language:
+    """Return the language of this name for this robot's actions; ConfigError when there is none."""
+    try:
+        return make_language(name, world.turns_deg)
+    except TeacherError as error:
+        raise ConfigError(f"--language: {error}") from error
+
+
+def keep_log() -> deque[str]:
+    """Keep the last warnings in a list that fills from now on: a line on the terminal would spoil the screen."""
+    kept: deque[str] = deque(maxlen=LOG_KEPT)
+
+    def keep(_logger: object, method: str, entry: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+        words = " ".join(f"{name}={value}" for name, value in entry.items() if name != "event")
+        kept.append(f"mdb teach: {method}: {entry.get('event')} {words}")
+        raise structlog.DropEvent
+
+    structlog.configure(
+        wrapper_class=structlog.make_filtering_bound_logger("warning"),
+        processors=[structlog.processors.format_exc_info, keep],
+    )
+    return kept

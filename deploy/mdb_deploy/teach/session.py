@@ -1,0 +1,272 @@
+"""A person's part in a brain: hears what the teacher hears, says what the teacher says. No screen, no keyboard.
+
+Owns the teacher's map from notes to meanings, which the brain never learns: from it alone come obedience and
+suggestions. A service like the others: its thread owns the bus; whoever has the keys and the screen calls
+`command`, `feedback`, `pause`, `speak` and `microphone`, which never wait, and reads `view`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdb_deploy.teach.record import Record
+from mdb_deploy.teach.view import View
+from mdb_protocol import keys, messages
+from mdb_protocol.bus import Bus
+from mdb_protocol.errors import BusError
+from mdb_sim.robot import RobotConfig
+from mdb_sim.sound import Player
+from mdb_sim.teacher import Language, graded_feedback, wanted_action
+from mdb_sim.teacher_service import ROLE, placement_of
+
+BRAIN_ROLE, EAR_ROLE = "optimizer", "ear"
+"""Whose liveliness token means that a brain is at work, and that somebody listens to sound."""
+WITHOUT_EFFECT = 3
+"""Commands in a row that no report shows before the teacher is told (ours)."""
+ADMISSION_S = 3.0
+"""Bound on asking whether others see this teacher."""
+
+
+class TeachingSession:
+    """See the module's docstring.
+
+    `auto`: it plays the scripted teacher with the person's language. `player`: notes are not named but played;
+    `listens`: sound comes through `microphone`.
+    """
+
+    role = ROLE
+
+    def __init__(
+        self,
+        bus: Bus,
+        name: str,
+        language: Language,
+        world: RobotConfig | None = None,
+        *,
+        auto: bool = False,
+        player: Player | None = None,
+        listens: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Listen; presence begins with the token that `service.announce` declares."""
+        self.bus, self.instance, self.world = bus, name, world or RobotConfig()
+        self.view = View(language)
+        self._auto, self._player, self._sounds, self._clock = auto, player, listens or player is not None, clock
+        self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._record = Record(name)
+        self._admitted: bool | None = None
+        self._scenes = bus.subscriber(keys.SCENE)
+        self._perceptions = bus.subscriber(keys.PERCEPTION)
+        self._reports = bus.subscriber(keys.ITERATION)
+        self._timings = bus.subscriber(keys.TIMING)
+        self._finished = bus.subscriber(keys.FINISHED)
+        self._heard = bus.subscriber(keys.HEARD, teacher=name)
+        self._commands = bus.publisher(keys.COMMAND, teacher=name)
+        self._feedback = bus.publisher(keys.FEEDBACK, teacher=name)
+        self._audio = bus.publisher(keys.AUDIO, teacher=name)
+
+    def command(self, note: int | None) -> None:
+        """Say a note for the action that comes next, or silence; from any thread."""
+        self._order(partial(self._command, note))
+
+    def feedback(self, value: float, iteration: int) -> None:
+        """Reward or punish in [-1, 1] the action of this iteration; from any thread."""
+        self._order(partial(self._judge, iteration, value))
+
+    def pause(self) -> None:
+        """Be there but silent, so that the brain need not wait; or end that. From any thread."""
+        self._order(self._pause)
+
+    def speak(self, language: Language) -> None:
+        """Mean something else by the notes from now on; from any thread."""
+        self._order(partial(self._show, language=language))
+
+    def microphone(self, samples: NDArray[np.int16], rate_hz: int) -> None:
+        """Pass on what a microphone hears, samples (n,); from any thread."""
+        self._order(partial(self._sound, samples, rate_hz))
+
+    def _order(self, order: Callable[[], None]) -> None:
+        self._orders.put(order)
+        self.bus.poke()
+
+    def step(self) -> bool:
+        """Take what has come, say what was ordered, renew the view."""
+        moved = self._receive()
+        while not self._orders.empty():
+            self._orders.get_nowait()()
+            moved = True
+        if moved:
+            self._show(**self._record.measures())
+        alive = self.bus.alive()
+        self._show(others=self._others(alive), trouble=self._trouble(alive))
+        return moved
+
+    def _show(self, **changes: Any) -> None:
+        """Replace the view, if anything in it is another now."""
+        if any(getattr(self.view, name) != value for name, value in changes.items()):
+            self.view = replace(self.view, **changes)
+
+    def _receive(self) -> bool:
+        moved = False
+        if (perception := self._perceptions.take()) is not None:
+            self._show(perception=perception)
+            moved = True
+        if (scene := self._scenes.take()) is not None:
+            self._see(scene)
+            moved = True
+        while (heard := self._heard.take()) is not None:
+            self._be_heard(heard)
+            moved = True
+        while (report := self._reports.take()) is not None:
+            self._record.read(report, self._clock())
+            self._show(report=report)
+            moved = True
+        while (timing := self._timings.take()) is not None:
+            self._record.time(timing)
+            moved = True
+        if self._finished.take() is not None:
+            self._show(finished=True)
+            moved = True
+        return moved
+
+    def _see(self, scene: messages.Scene) -> None:
+        """Take in a new scene; in a pause and with `auto` it is answered here."""
+        if self.view.scene is not None and scene.iteration == self.view.scene.iteration:
+            return  # a robot that waits shows it again
+        self._record.see(scene, self._clock())
+        wanted = wanted_action(placement_of(scene.now), self.world.turns_rad)
+        self._show(scene=scene, wanted=wanted, finished=False)
+        if self.view.paused:
+            self._command(None)
+        elif self._auto:
+            self._teach(scene, wanted)
+
+    def _teach(self, scene: messages.Scene, wanted: int) -> None:
+        """Do as the scripted teacher does: judge the last action, command the next."""
+        done = self._record.exchange(scene.iteration - 1)
+        if done.command is not None and done.feedback is None and scene.before and scene.action is not None:
+            before = wanted_action(placement_of(scene.before), self.world.turns_rad)
+            self._judge(done.iteration, graded_feedback(before, scene.action, self.world.turns_deg))
+        self._command(self.view.language.note(wanted))
+
+    def _command(self, note: int | None) -> None:
+        scene = self.view.scene
+        if scene is None:
+            self._notice("there is no scene yet to say anything about")
+        elif self._record.exchange(scene.iteration).spoke:
+            self._notice(f"iteration {scene.iteration} has its command; the next one is for the next scene")
+        else:
+            self._say(scene.iteration, note)
+
+    def _say(self, iteration: int, note: int | None) -> None:
+        self._remember(iteration, note)
+        if note is None or self._player is None:
+            self._commands.put(messages.Command(teacher=self.instance, iteration=iteration, note=note))
+            return
+        for frame in self._player.frames(self.instance, iteration, note):
+            self._audio.put(frame)
+
+    def _remember(self, iteration: int, note: int | None) -> None:
+        self._defer(iteration - 1)
+        command = None if note is None else self.view.language.command(note)
+        self._record.said(iteration, note, command, self._clock())
+
+    def _defer(self, iteration: int) -> None:
+        """The next command without feedback says: do not wait for it; it may come later."""
+        exchange = self._record.exchange(iteration)
+        if exchange.note is not None and exchange.feedback is None:
+            self._feedback.put(messages.Feedback(teacher=self.instance, iteration=iteration, value=None))
+
+    def _sound(self, samples: NDArray[np.int16], rate_hz: int) -> None:
+        scene = self.view.scene
+        if scene is not None and not self.view.paused:
+            self._audio.put(
+                messages.AudioFrame(
+                    teacher=self.instance, iteration=scene.iteration, rate_hz=rate_hz, samples=samples
+                )
+            )
+
+    def _be_heard(self, heard: messages.Command) -> None:
+        """Learn what the ear made of the sound: of a microphone's, that is all that is known of the note."""
+        said = self._record.exchange(heard.iteration)
+        if not said.spoke and heard.note is not None and heard.note < len(self.view.language.notes):
+            self._remember(heard.iteration, heard.note)
+        elif said.spoke and said.note not in (None, heard.note):
+            self._notice(f"the ear heard {'nothing' if heard.note is None else f'note {heard.note}'} of note {said.note}")
+
+    def _judge(self, iteration: int, value: float) -> None:
+        if iteration < 0:
+            self._notice("there is no action yet to judge")
+        elif self._record.exchange(iteration).feedback is not None:
+            self._notice(f"the action of iteration {iteration} is judged already")
+        else:
+            self._feedback.put(messages.Feedback(teacher=self.instance, iteration=iteration, value=value))
+            self._record.note_down(iteration, feedback=value)
+
+    def _pause(self) -> None:
+        self._show(paused=not self.view.paused)
+        scene = self.view.scene
+        if self.view.paused and scene is not None and not self._record.exchange(scene.iteration).spoke:
+            self._say(scene.iteration, None)
+
+    def _notice(self, text: str) -> None:
+        self._show(notice=text, noticed_s=self._clock())
+
+    def _others(self, alive: frozenset[str]) -> tuple[str, ...]:
+        teachers = (name.partition("/") for name in sorted(alive))
+        return tuple(instance for role, _, instance in teachers if role == ROLE and instance != self.instance)
+
+    def _trouble(self, alive: frozenset[str]) -> str | None:
+        """Say why nothing that this teacher says can come through, or has; None also when all is over."""
+        if self.view.finished:
+            return None
+        if f"{ROLE}/{self.instance}" not in alive:
+            self._admitted = None
+            return "the router is gone; everything goes on by itself when it is back"
+        if not self._is_admitted():
+            return f"the router does not let you in as {self.instance}: keys that were removed, or another's?"
+        roles = {name.partition("/")[0] for name in alive}
+        if BRAIN_ROLE not in roles:
+            return f"no brain is at work as {self.bus.brain}; 'mdb up --no-teacher' starts one"
+        if self._sounds and EAR_ROLE not in roles:
+            return "nobody listens to sound; the brain gets an ear by 'mdb up --set ear.detector=template'"
+        return self._unheard() if self._record.without_effect >= WITHOUT_EFFECT else None
+
+    def _unheard(self) -> str:
+        """Say why reports do not show this teacher's commands."""
+        holder = self.view.report.holder if self.view.report else None
+        if holder not in (None, self.instance):
+            return f"{holder} holds the word: the brain does not hear your commands until {holder} is silent or gone"
+        return (
+            f"your commands do not arrive: the router does not let you teach as {self.instance}, "
+            "or your notes come too late"
+        )
+
+    def _is_admitted(self) -> bool:
+        """Ask whenever the router has come: with keys it denies without a word, and this bus sees its own token."""
+        if self._admitted is None:
+            try:
+                self._admitted = self.bus.admitted(ROLE, self.instance, ADMISSION_S)
+            except BusError:
+                return True  # the router is gone again, which is told once its tokens are
+        return self._admitted
+
+    def values(self) -> dict[str, float]:
+        """Last iteration seen, obedience (-1: nothing commanded yet) and the commands it is the share of."""
+        view = self.view
+        return {
+            "iteration": float(view.scene.iteration if view.scene else -1),
+            "commands": float(view.judged),
+            "obedience": -1.0 if view.obedience is None else view.obedience,
+        }
+
+    def close(self) -> None:
+        """Nothing to free; presence ends when the bus is closed."""

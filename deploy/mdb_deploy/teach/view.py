@@ -1,0 +1,86 @@
+"""What a teacher's screen shows at one moment: plain values, never changed, only replaced."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from mdb_protocol import messages
+from mdb_sim.teacher import Language
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """One iteration as this teacher lived it: what it said, what it saw the robot do, how it judged.
+
+    `command` is what `note` meant when it was said; `heard`: whether the brain's report names this teacher.
+    """
+
+    iteration: int
+    spoke: bool = False
+    note: int | None = None
+    command: int | None = None
+    action: int | None = None
+    feedback: float | None = None
+    heard: bool | None = None
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Seconds from a command to the sight of its action, to the report of its iteration; the brain's own share.
+
+    The report waits for the feedback, so a person's own hesitation is in it; the brain's share, from its
+    perception to its action, has the wait for the command in it.
+    """
+
+    to_action_s: float | None = None
+    to_report_s: float | None = None
+    perception_to_action_s: float | None = None
+
+
+@dataclass(frozen=True)
+class View:
+    """All there is to show."""
+
+    language: Language
+    scene: messages.Scene | None = None
+    perception: messages.Perception | None = None
+    trail: tuple[tuple[float, float], ...] = ()
+    """x_m, y_m where the robot came through in this episode."""
+    report: messages.IterationReport | None = None
+    exchanges: tuple[Exchange, ...] = ()
+    """The last iterations seen, the newest first."""
+    errors: dict[str, float] = field(default_factory=dict)
+    """Each model's error on pairs before it learnt them, mean of the last `record.ERROR_MEAN`."""
+    obedience: float | None = None
+    """Share of the last `judged` commands after which the robot did what was meant."""
+    judged: int = 0
+    captures: int = 0
+    captures_per_100: float | None = None
+    latency: Latency = Latency()
+    wanted: int | None = None
+    """The action that would best face the object now."""
+    others: tuple[str, ...] = ()
+    """The other teachers who are there."""
+    paused: bool = False
+    finished: bool = False
+    trouble: str | None = None
+    """Why the teacher is not heard."""
+    notice: str | None = None
+    """What became of the last key, where it is not what was asked for."""
+    noticed_s: float = -math.inf
+
+
+def meaning(turn_deg: float) -> str:
+    """Return the words for an action: "left 45", "ahead"."""
+    if turn_deg == 0:
+        return "ahead"
+    return f"{'left' if turn_deg > 0 else 'right'} {abs(turn_deg):g}"
+
+
+def swapped(language: Language, command: int, note: int) -> Language:
+    """Return the language in which `note` says `command`; the command that it said takes the other note."""
+    notes = list(language.notes)
+    other = language.command(note)
+    notes[command], notes[other] = notes[other], notes[command]
+    return Language(f"notes:{','.join(map(str, notes))}", tuple(notes))

@@ -1,0 +1,427 @@
+"""The teacher's terminal against a real brain over Zenoh: keys pressed, reports and screens looked at."""
+
+import asyncio
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("textual")
+
+from textual.pilot import Pilot
+from textual.widgets import Static
+
+from mdb_deploy.credentials import KeyFolder
+from mdb_deploy.teach.app import NOTE_KEYS, LanguageScreen, SessionThread, TeachApp, graded
+from mdb_deploy.teach.session import WITHOUT_EFFECT, TeachingSession
+from mdb_protocol import keys, messages
+from mdb_protocol.bus import Inbox
+from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_protocol.roles import Role
+from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_sim.robot import RobotConfig
+from mdb_sim.teacher import make_language
+from tests.integration.brain import BRAIN, Brain, mdb, until
+
+ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"
+BOUND_S = 30.0
+TURNS = RobotConfig().turns_deg
+REVERSED = make_language("reversed", TURNS)
+LEFT_90, LEFT_45 = TURNS.index(90.0), TURNS.index(45.0)
+PLACE = messages.Placement(x_m=0.0, y_m=0.0, heading_rad=1.0, object_x_m=1.0, object_y_m=1.0)
+SCENE = messages.Scene(
+    iteration=4, episode=0, captures=0, event="none", action=None, before=None, reached=PLACE, now=PLACE
+)
+PATIENT = (
+    "experiment.iterations=100000",
+    "optimizer.command_patience_s=60",
+    "optimizer.feedback_patience_s=60",
+)
+
+
+@pytest.fixture(scope="module")
+def brain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Brain]:
+    """`mdb up --no-teacher`: it waits for a teacher, and then for each of his words."""
+    with Brain(tmp_path_factory.mktemp("runs"), *PATIENT, options=("--no-teacher",)) as running:
+        yield running
+
+
+def session_of(bus: ZenohBus, name: str, *, auto: bool = False) -> TeachingSession:
+    return TeachingSession(bus, name, REVERSED, auto=auto)
+
+
+class Desk:
+    """A teacher's screen and keys, and what a bystander hears of the brain."""
+
+    def __init__(self, app: TeachApp, pilot: Pilot[int], witness: ZenohBus) -> None:
+        self.app, self.pilot, self.witness = app, pilot, witness
+        self._reports: Inbox = witness.subscriber(keys.ITERATION)
+        self._seen: list[messages.IterationReport] = []
+
+    def text(self, where: str) -> str:
+        return str(self.app.screen_stack[0].query_one(where, Static).render())
+
+    async def until(self, condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + BOUND_S
+        while not condition():
+            assert time.monotonic() < deadline, f"not within {BOUND_S} s; the screen says {self.text('#says')!r}"
+            await self.pilot.pause(0.02)
+
+    async def shows_scene_after(self, iteration: int) -> int:
+        """Wait until a later scene is on the screen; return its iteration."""
+
+        def shown() -> bool:
+            scene = self.app._shown.scene
+            return scene is not None and scene.iteration > iteration
+
+        await self.until(shown)
+        assert self.app._shown.scene is not None
+        return self.app._shown.scene.iteration
+
+    async def is_awaited(self) -> int:
+        """Wait until the scene on the screen has no command of this teacher yet; return its iteration."""
+
+        def awaited() -> bool:
+            view = self.app._shown
+            spoken = {exchange.iteration for exchange in view.exchanges if exchange.spoke}
+            return view.scene is not None and view.scene.iteration not in spoken
+
+        await self.until(awaited)
+        return await self.shows_scene_after(-1)
+
+    async def report(self, wanted: Callable[[messages.IterationReport], bool]) -> messages.IterationReport:
+        """Wait for a report; those that came before stay to be looked at again."""
+
+        def come() -> bool:
+            while (report := self._reports.take()) is not None:
+                self._seen.append(report)
+            return any(map(wanted, self._seen))
+
+        await self.until(come)
+        return next(filter(wanted, self._seen))
+
+
+@asynccontextmanager
+async def desk(brain: Brain, name: str, size: tuple[int, int] = (80, 24)) -> AsyncIterator[Desk]:
+    with brain.bus() as bus, brain.bus() as witness:
+        app = TeachApp(session_of(bus, name), "here", suggest=True)
+        async with app.run_test(size=size) as pilot:
+            one = Desk(app, pilot, witness)
+            await one.until(lambda: f"teacher/{name}" in witness.alive() and "optimizer/action" in witness.alive())
+            yield one
+            if app.is_running:
+                await pilot.press("q")
+
+
+def test_notes_and_feedback_arrive_with_the_teachers_name(brain: Brain) -> None:
+    async def lesson() -> None:
+        async with desk(brain, "ann") as ann:
+            iteration = await ann.shows_scene_after(-1)
+            await ann.pilot.press("c")
+            after = await ann.shows_scene_after(iteration)
+            assert after == iteration + 1, "the robot did one action, for which it had waited"
+            await ann.pilot.press("7")
+            report = await ann.report(lambda r: r.iteration == iteration)
+            assert (report.teacher, report.note, report.holder) == ("ann", NOTE_KEYS.index("c"), "ann")
+            assert (report.feedback, report.judges) == (pytest.approx(graded(7)), ["ann"])
+            await ann.until(lambda: re.search(rf" {iteration} c left 20 .*\+0\.56", ann.text("#panel")))
+            assert "word     you" in ann.text("#panel")
+            assert "connected" in ann.text("#top")
+            await ann.pilot.press("z")
+            after = await ann.shows_scene_after(after)
+            await ann.pilot.press("minus")
+            report = await ann.report(lambda r: r.iteration == after - 1)
+            assert (report.note, report.feedback) == (0, -1.0)
+
+    asyncio.run(lesson())
+
+
+def test_without_feedback_the_next_note_is_obeyed_at_once(brain: Brain) -> None:
+    async def lesson() -> None:
+        async with desk(brain, "ann") as ann:
+            iteration = await ann.shows_scene_after(-1)
+            for key in "mb":
+                await ann.pilot.press(key)
+                iteration = await ann.shows_scene_after(iteration)
+            report = await ann.report(lambda r: r.iteration == iteration - 2)
+            assert (report.note, report.feedback) == (NOTE_KEYS.index("m"), None)
+
+    asyncio.run(lesson())
+
+
+def test_in_a_pause_the_brain_goes_on_alone_and_the_teacher_stays(brain: Brain) -> None:
+    async def lesson() -> None:
+        async with desk(brain, "ann") as ann:
+            iteration = await ann.shows_scene_after(-1)
+            await ann.pilot.press("p")
+            report = await ann.report(lambda r: r.iteration == iteration + 5)
+            assert (report.note, report.teacher) == (None, None)
+            assert "teacher/ann" in ann.witness.alive()
+            await ann.until(lambda: "pause" in ann.text("#top"))
+            await ann.pilot.press("p")
+            await ann.until(lambda: not ann.app.session.view.paused)
+            iteration = await ann.is_awaited()
+            await ann.pilot.press("x")
+            await ann.shows_scene_after(iteration)
+            await ann.pilot.press("0")
+            report = await ann.report(lambda r: r.iteration == iteration)
+            assert (report.note, report.feedback) == (NOTE_KEYS.index("x"), -1.0)
+
+    asyncio.run(lesson())
+
+
+def test_a_note_gets_another_meaning_and_the_brain_is_not_told(brain: Brain) -> None:
+    async def lesson() -> None:
+        async with desk(brain, "ann") as ann:
+            iteration = await ann.shows_scene_after(-1)
+            tap = ann.witness.subscriber(keys.COMMAND)
+            await ann.pilot.press("l")
+            assert isinstance(ann.app.screen, LanguageScreen)
+            await ann.pilot.press("down", "m", "escape")
+            await ann.until(lambda: ann.app.session.view.language.command(NOTE_KEYS.index("m")) == LEFT_45)
+            assert ann.app.session.view.language.command(NOTE_KEYS.index("z")) == LEFT_90
+            await ann.until(lambda: "m left 45" in ann.text("#notes"))
+            while (last := tap.take()) is not None:
+                assert last.iteration < iteration, "keys of the language's screen are no notes"
+            await ann.pilot.press("m")
+            await ann.shows_scene_after(iteration)
+            await ann.pilot.press("9")
+            report = await ann.report(lambda r: r.iteration == iteration)
+            assert report.note == NOTE_KEYS.index("m")
+            (exchange,) = [e for e in ann.app.session.view.exchanges if e.iteration == iteration]
+            assert exchange.command == LEFT_45
+
+    asyncio.run(lesson())
+
+
+def test_who_leaves_is_gone_and_the_brain_goes_on(brain: Brain) -> None:
+    async def lesson() -> int:
+        async with desk(brain, "ann") as ann:
+            iteration = await ann.shows_scene_after(-1)
+            await ann.pilot.press("q")
+            until(lambda: "teacher/ann" not in ann.witness.alive())
+            assert not ann.app.thread.running
+            return iteration
+
+    iteration = asyncio.run(lesson())
+    with brain.bus() as bus:
+        reports = bus.subscriber(keys.ITERATION)
+
+        def moved() -> bool:
+            bus.wait(0.05)
+            return (report := reports.take()) is not None and report.iteration > iteration
+
+        until(moved)
+
+
+def test_who_is_not_heard_reads_who_holds_the_word(brain: Brain) -> None:
+    async def lesson() -> None:
+        with brain.bus() as first_bus:
+            bob = SessionThread(session_of(first_bus, "bob", auto=True))
+            bob.start()
+            try:
+                async with desk(brain, "ann") as ann:
+                    await ann.report(lambda r: r.holder == "bob")
+                    iteration = await ann.shows_scene_after(-1)
+                    for _ in range(WITHOUT_EFFECT):
+                        await ann.pilot.press("x")
+                        iteration = await ann.shows_scene_after(iteration)
+                    await ann.until(lambda: "bob holds the word" in ann.text("#says"))
+                    await ann.until(lambda: "bob (also here: bob)" in ann.text("#panel"))
+                    assert "not heard" in ann.text("#panel")
+            finally:
+                bob.stop()
+
+    asyncio.run(lesson())
+
+
+@pytest.mark.parametrize("size", [(80, 24), (140, 40), (50, 20), (30, 10), (10, 5)])
+def test_every_size_of_terminal_has_room(size: tuple[int, int]) -> None:
+    async def look() -> None:
+        fabric = Fabric()
+        world = MemoryBus(fabric, BRAIN)
+        world.publisher(keys.SCENE).put(SCENE)
+        app = TeachApp(TeachingSession(MemoryBus(fabric, BRAIN), "ann", REVERSED), "here", suggest=True)
+        async with app.run_test(size=size) as pilot:
+            one = Desk(app, pilot, world)  # type: ignore[arg-type]
+            await one.shows_scene_after(-1)
+            await pilot.press("l", "escape", "u", "h")
+            await pilot.press("q")
+        assert app.return_code == 0
+
+    asyncio.run(look())
+
+
+def test_a_removed_teacher_is_told_that_the_router_does_not_let_him_in(tmp_path: Path) -> None:
+    listen = "tls/127.0.0.1:0"
+    folder = KeyFolder.create(tmp_path / "keys", BRAIN)
+    bundle = tmp_path / "ann.pem"
+    bundle.write_bytes(folder.add(Role.TEACHER, "ann", BRAIN).read_bytes())
+    folder.remove("ann")
+    router = Router(ROUTER_CONFIG, listen, keys=folder.router_keys(listen))
+
+    async def look() -> None:
+        with ZenohBus(BRAIN, router.endpoint(), credentials=bundle) as bus:
+            app = TeachApp(session_of(bus, "ann"), "here")
+            async with app.run_test() as pilot:
+                await Desk(app, pilot, bus).until(lambda: "does not let you in as ann" in str(app._shown.trouble))
+                await pilot.press("q")
+
+    try:
+        asyncio.run(look())
+    finally:
+        router.close()
+
+
+def test_a_router_that_comes_back_is_used_again() -> None:
+    router = Router(ROUTER_CONFIG, "tcp/127.0.0.1:0")
+    endpoint = router.endpoint()
+    session = session_of(ZenohBus(BRAIN, endpoint), "ann")
+    teaching = SessionThread(session)
+    teaching.start()
+    try:
+        until(lambda: "no brain" in str(session.view.trouble), BOUND_S)
+        router.close()
+        until(lambda: "the router is gone" in str(session.view.trouble), BOUND_S)
+        router = Router(ROUTER_CONFIG, endpoint)
+        until(lambda: "no brain" in str(session.view.trouble), BOUND_S)
+        with ZenohBus(BRAIN, endpoint) as robot:
+            commands = robot.subscriber(keys.COMMAND)
+            robot.publisher(keys.SCENE).put(SCENE)
+            until(lambda: session.view.scene == SCENE, BOUND_S)
+            session.command(3)
+            until(lambda: commands.take() == messages.Command(teacher="ann", iteration=4, note=3), BOUND_S)
+    finally:
+        teaching.stop()
+        router.close()
+    assert not teaching.running
+
+
+def test_graded_feedback_is_exact() -> None:
+    assert [graded(digit) for digit in (0, 9)] == [-1.0, 1.0]
+    assert [round(graded(digit) * 9) for digit in range(10)] == [-9, -7, -5, -3, -1, 1, 3, 5, 7, 9]
+
+
+BLOCKED = "numba", "pybullet", "mcap", "tomli_w", "psutil", "yaml", "cryptography", "zstandard", "matplotlib", "cmaes"
+WITHOUT = f"""
+import sys
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {BLOCKED!r}:
+            raise ModuleNotFoundError(f"blocked: {{name}}", name=name)
+sys.meta_path.insert(0, Blocked())
+from mdb_deploy.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_laptop_needs_only_the_extra_teach() -> None:
+    """All that `mdb teach` imports is imported before it finds that nobody answers."""
+    words = ["teach", "--connect", "tcp/127.0.0.1:1", "--name", "ann", "--language", "random:3"]
+    command = [sys.executable, "-c", WITHOUT, *words]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=BOUND_S, check=False)
+    assert result.returncode == 2
+    assert "no router answers at tcp/127.0.0.1:1" in result.stderr, result.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--language", "notes:1,1"), "no language 'notes:1,1' for 7 actions"),
+        (("--name", "a b"), "expected 1 to 64 letters"),
+        (("--keys", "nowhere.pem"), "with keys the router is at tls/"),
+        (("--experiment", "nowhere.toml"), "cannot read the experiment file"),
+    ],
+)
+def test_what_cannot_be_is_said_with_what_to_do(words: tuple[str, ...], said: str) -> None:
+    router = Router(ROUTER_CONFIG, "tcp/127.0.0.1:0")
+    try:
+        result = mdb("teach", "--connect", router.endpoint(), *words)
+    finally:
+        router.close()
+    assert result.returncode == 2
+    assert said in result.stderr
+
+
+def test_a_name_that_is_taken_is_refused() -> None:
+    router = Router(ROUTER_CONFIG, "tcp/127.0.0.1:0")
+    try:
+        with ZenohBus(BRAIN, router.endpoint()) as other:
+            other.token("teacher", "ann")
+            result = mdb("teach", "--connect", router.endpoint(), "--name", "ann")
+    finally:
+        router.close()
+    assert result.returncode == 2
+    assert "somebody teaches pioneer as ann already" in result.stderr
+
+
+def test_help_says_keys_and_feedback() -> None:
+    text = mdb("teach", "--help").stdout
+    for said in ("z x c v b n m", "0 (punishment, -1) to 9 (reward, +1)", "--language", "p pause", "--no-teacher"):
+        assert said in text
+
+
+@contextmanager
+def terminal(*words: str) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+    """Run `mdb teach` on a terminal of its own, 80 by 24."""
+    keyboard, screen = pty.openpty()
+    environment = os.environ | {"TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mdb_deploy.cli", "teach", *words],
+        stdin=screen, stdout=screen, stderr=screen, env=environment, start_new_session=True,
+    )  # fmt: skip
+    os.close(screen)
+    try:
+        yield process, keyboard
+    finally:
+        process.kill()
+        process.wait()
+        os.close(keyboard)
+
+
+def written(keyboard: int, process: subprocess.Popen[bytes], enough: Callable[[bytes], object]) -> bytes:
+    """Return what the terminal got, until it is enough or the process has ended."""
+    content, deadline = b"", time.monotonic() + BOUND_S
+    while not enough(content) and time.monotonic() < deadline:
+        if select.select([keyboard], [], [], 0.1)[0]:
+            try:
+                content += os.read(keyboard, 65536)
+            except OSError:  # the other side is closed
+                break
+        elif process.poll() is not None:
+            break
+    return content
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 130), (signal.SIGINT, 130), (None, 0)])
+def test_the_terminal_is_given_back(number: signal.Signals | None, status: int) -> None:
+    router = Router(ROUTER_CONFIG, "tcp/127.0.0.1:0")
+    try:
+        with (
+            ZenohBus(BRAIN, router.endpoint()) as witness,
+            terminal("--connect", router.endpoint(), "--name", "ann") as (process, keyboard),
+        ):
+            witness.alive()
+            drawn = written(keyboard, process, lambda content: b"no brain is at work" in content)
+            assert b"\x1b[?1049h" in drawn, drawn
+            until(lambda: "teacher/ann" in witness.alive())
+            if number is None:
+                os.write(keyboard, b"q")
+            else:
+                process.send_signal(number)
+            last = written(keyboard, process, lambda _: False)
+            assert process.wait(BOUND_S) == status
+            assert b"\x1b[?1049l" in last, "the screen as it was before"
+            assert b"\x1b[?25h" in last, "the cursor"
+            until(lambda: "teacher/ann" not in witness.alive())
+    finally:
+        router.close()
