@@ -51,6 +51,13 @@ def main(argv: list[str] | None = None) -> int:
     except MdbError as error:
         sys.stderr.write(f"mdb: {error}\n")
         return 2
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("mdb_"):
+            raise
+        extra = "teach" if arguments.command is _teach else "brain"
+        wanted = f"pip install 'multilevel-darwinist-brain[{extra}]'"
+        sys.stderr.write(f"mdb: this needs {error.name}, which is not installed: {wanted}\n")
+        return 2
     except KeyboardInterrupt:
         return 130
     return status
@@ -68,6 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_up(commands)
     _add_run(commands)
     _add_teach(commands)
+    _add_chaos(commands)
     _add_small(commands)
     keys_command.add(commands)
     _add_ltm(commands)
@@ -121,7 +129,7 @@ def _add_up(commands: Commands[argparse.ArgumentParser]) -> None:
 
 def _add_run(commands: Commands[argparse.ArgumentParser]) -> None:
     run = commands.add_parser("run", help="run one service (compose does this)", allow_abbrev=False)
-    run.add_argument("service", help="router, recorder, memory, evolver, optimizer, robot or teacher")
+    run.add_argument("service", help="router, recorder, memory, evolver, optimizer, robot, teacher or ear")
     run.add_argument("--run", type=Path, help="run folder with experiment.toml")
     run.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
     run.add_argument("--listen", help="router: its endpoint; port 0: any free one")
@@ -167,9 +175,45 @@ def _add_teach(commands: Commands[argparse.ArgumentParser]) -> None:
     teach.add_argument("--suggest", action="store_true", help="begin with the hint on: which command would be right")
     teach.add_argument("--auto", action="store_true", help="teach by itself, as the scripted teacher does")
     teach.add_argument(
-        "--experiment", type=Path, metavar="FILE", help="whose [robot.world] says what the actions are (the shipped)"
+        "--experiment",
+        type=experiment_path,
+        metavar="FILE",
+        help="whose [robot.world] says what the actions are, whose [ear] the scale",
     )
+    teach.add_argument("--sound", metavar="INSTRUMENT", help="play the notes instead of naming them, as in flute")
+    teach.add_argument("--microphone", action="store_true", help="the brain hears your microphone (extra 'sound')")
     teach.set_defaults(command=_teach)
+
+
+CHAOS_EPILOG = """\
+recovery: from the kill until the successor's liveliness token is there (after the router's: everybody's) and two
+more iterations are done. A witness, a process outside the brain, writes down what is acknowledged; in the end all of
+that must be in the memory, once, as it was. Status 1 when it is not, or recovery is far too slow.
+
+  mdb chaos                                      300 kills, the paper's experiment over and over: some ten minutes
+  mdb chaos --kills 12 --roles memory,optimizer --set robot.body=kinematic
+  mdb chaos --pace lockstep --iterations 500     to the experiment's end, however many kills fit in
+  mdb chaos --soak 60                            no kills: full speed, and what each process holds
+"""
+
+
+def _add_chaos(commands: Commands[argparse.ArgumentParser]) -> None:
+    chaos = commands.add_parser(
+        "chaos",
+        help="kill processes of a brain at random, and see that nothing is lost",
+        description="Kills processes of a running brain at random, and measures what comes of it.",
+        epilog=CHAOS_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    _add_experiment(chaos)
+    chaos.add_argument("--kills", type=int, default=300, help="how many (300)")
+    chaos.add_argument("--roles", default="", help="who may die, as in memory,evolver-object (everybody)")
+    chaos.add_argument("--bound", type=float, default=20.0, metavar="SECONDS", help="give up on a recovery (20)")
+    chaos.add_argument("--pause", type=float, default=1.0, metavar="SECONDS", help="to the next kill, at most (1)")
+    chaos.add_argument("--soak", type=float, metavar="MINUTES", help="watch memory, threads and files instead")
+    chaos.add_argument("--out", type=Path, default=Path("runs/chaos"), help="where run and report go (runs/chaos)")
+    chaos.set_defaults(command=_chaos)
 
 
 def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
@@ -364,10 +408,8 @@ def _up(arguments: argparse.Namespace) -> int:
 
 
 def _teach(arguments: argparse.Namespace) -> int:
-    try:
-        from mdb_deploy.teach.run import TeachOptions, teach
-    except ModuleNotFoundError as error:
-        raise MdbError(f"teaching needs {error.name}: pip install 'multilevel-darwinist-brain[teach]'") from error
+    from mdb_deploy.teach.run import TeachOptions, teach
+
     return teach(
         TeachOptions(
             connect=arguments.connect,
@@ -378,6 +420,31 @@ def _teach(arguments: argparse.Namespace) -> int:
             experiment=arguments.experiment,
             suggest=arguments.suggest,
             auto=arguments.auto,
+            sound=arguments.sound,
+            microphone=arguments.microphone,
+        )
+    )
+
+
+def _chaos(arguments: argparse.Namespace) -> int:
+    path, overrides, out = experiment_path(arguments.experiment), tuple(overrides_of(arguments)), arguments.out
+    if arguments.soak is not None:
+        from mdb_deploy import soak
+
+        return soak.command(soak.SoakOptions(path, overrides, out, arguments.soak))
+    from mdb_deploy import chaos
+
+    return chaos.command(
+        chaos.ChaosOptions(
+            path,
+            overrides,
+            out,
+            kills=arguments.kills,
+            seed=arguments.seed or 0,
+            roles=tuple(name for name in arguments.roles.split(",") if name),
+            bound_s=arguments.bound,
+            pause_s=arguments.pause,
+            to_the_end=arguments.iterations is not None,
         )
     )
 
