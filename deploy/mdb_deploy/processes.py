@@ -169,8 +169,9 @@ def _evolver(bus: Bus, experiment: Experiment, model: str | None) -> Service:
     if model is None:
         names = ", ".join(m.name for m in experiment.brain.model)
         raise ConfigError(f"an evolver needs --model; this experiment has {names}")
-    os.nice(EVOLVER_NICE)
-    return Evolver(bus, experiment.brain, model)
+    evolver = Evolver(bus, experiment.brain, model)
+    os.nice(EVOLVER_NICE)  # from now on: one that comes back after its death is soon there
+    return evolver
 
 
 def _ear(bus: Bus, experiment: Experiment) -> Service:
@@ -182,4 +183,4 @@ def _ear(bus: Bus, experiment: Experiment) -> Service:
 def _optimizer(bus: Bus, experiment: Experiment) -> Service:
     from mdb_services.optimizer import Optimizer
 
-    return Optimizer(bus, experiment.brain)
+    return Optimizer(bus, experiment.brain, expected=experiment.scripted_teachers)

@@ -32,6 +32,11 @@ EXPERIMENT_FILE = "experiment.toml"
 """The resolved experiment in a run folder, its seed in it."""
 MEMORY_FILE = "memory.sqlite"
 """The memory store's database in a run folder."""
+BEGINNING_FILE = "memory.beginning.sqlite"
+"""The same before the first pair, where a run begins with models of another one: what a replay begins with."""
+
+SWIFT_HZ = 47.0, 2093.0
+"""Lowest and highest pitch of the swift-f0 network."""
 
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Seconds = Annotated[float, Meta(gt=0, le=3600)]
@@ -150,6 +155,10 @@ class EarSection(Section, frozen=True, kw_only=True):
             raise ValueError(
                 f"notes_hz is {list(self.notes_hz)}; expected rising notes from {4.0 / self.window_s:.1f} Hz on, at "
                 f"least {1.0 / self.window_s:.1f} Hz apart; a longer window_s tells lower and closer ones"
+            )
+        if self.detector == "swift-f0" and not (SWIFT_HZ[0] < self.notes_hz[0] and self.notes_hz[-1] < SWIFT_HZ[1]):
+            raise ValueError(
+                f"notes_hz is {list(self.notes_hz)}; swift-f0 hears from {SWIFT_HZ[0]} to {SWIFT_HZ[1]} Hz"
             )
         if self.hop_s > self.window_s:
             raise ValueError(f"hop_s is {self.hop_s}; expected at most window_s, {self.window_s}")
@@ -270,6 +279,8 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
             self.long_term_of(model)
         for name, section in self.channels.items():
             self._check_channel(name, section.of, variables[name].indices)
+        if self.ear is not None:
+            self._check_ear(self.ear, variables["note"].indices if "note" in variables else None)
         models = {model.name: model for model in self.model}
         if len(models) < len(self.model):
             raise ConfigError("two models have the same name; give each its own")
@@ -281,6 +292,12 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
                     f"mode {mode.name}: satisfaction {mode.satisfaction!r} is neither a model nor an output "
                     f"of {mode.world}{_nearest(mode.satisfaction, models)}"
                 )
+
+    def _check_ear(self, ear: EarSection, notes: int | None) -> None:
+        if len(ear.notes_hz) != notes:
+            raise ConfigError(
+                f"ear.notes_hz has {len(ear.notes_hz)} notes, but channels.note has {notes}; expected as many of each"
+            )
 
     def _check_channel(self, name: str, of: str | None, indices: int | None) -> None:
         if of is not None and of not in self.channels:

@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import QueryError
+from mdb_protocol.keys import Key
 from mdb_services.config import BrainConfig
 from mdb_services.cycle import CurrentModels, Cycle, differs, prequential
+from mdb_services.elsewhere import Elsewhere
 from mdb_services.mechanism import streams
 from mdb_services.mechanism.choice import Choice, choose
 from mdb_services.mechanism.encoding import Codebook, gather
-from mdb_services.teachers import Teachers
+from mdb_services.teachers import KEPT_AHEAD, Teachers
 
 log = structlog.get_logger()
 
@@ -50,12 +52,21 @@ class Optimizer:
 
     role, instance = ROLE, "action"
 
-    def __init__(self, bus: Bus, config: BrainConfig, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        config: BrainConfig,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        expected: frozenset[str] = frozenset(),
+    ) -> None:
+        """`expected`: tokens of teachers who, in lockstep, are waited for while they are not alive."""
         self.bus = bus
         self._experiment, self._settings = config.experiment, config.optimizer
         self._most_unstored = UNSTORED if config.store.when_full == "stop" else None
         self._joined = False
         self._lockstep = config.lockstep
+        self._expected = expected if config.lockstep else frozenset[str]()
         self._modes = config.modes()
         self._clock = clock
         variables = config.variables()
@@ -65,6 +76,7 @@ class Optimizer:
         self._required: dict[str, int] = {}
         self._cycle: Cycle | None = None
         self._next = 0
+        self._elsewhere = Elsewhere()
         self._teachers = Teachers(config.optimizer.word)
         self._unjudged: dict[int, messages.Pair] = {}
         """The pairs within `feedback_window` that have no feedback yet."""
@@ -128,23 +140,28 @@ class Optimizer:
         return True
 
     def _receive(self) -> None:
-        while (model := self._model_inbox.take()) is not None:
+        for model in self._model_inbox.some():
             if (reason := self._models.take(model)) is not None:
                 self.bus.refusals.add(keys.CURRENT_MODEL.path, reason)
         for inbox in self._command_inboxes:
-            while (command := inbox.take()) is not None:
+            for command in inbox.some():
                 self._hear(command)
-        while (feedback := self._feedback_inbox.take()) is not None:
+        for feedback in self._feedback_inbox.some():
             self._judge(feedback)
-        while (stored := self._stored.take()) is not None:
+        for stored in self._stored.some():
             self._acknowledge(stored)
         if (perception := self._perceptions.take()) is not None:
             self._perceive(perception)
 
     def _acknowledge(self, stored: messages.PairStored) -> None:
         """Take a pair for stored, unless it is what it was before late feedback that is on disk."""
+        if stored.iteration >= self._next:
+            self.bus.refusals.add(keys.PAIR_STORED.path, f"pair {stored.iteration}; now is {self._next}")
+            return
         sent = self._unacknowledged.get(stored.iteration)
-        if sent is not None and (stored.judged or sent[0].feedback is None):
+        if sent is None:  # it was said again
+            return
+        if stored.judged or sent[0].feedback is None:
             del self._unacknowledged[stored.iteration]
         self._required = stored.versions
 
@@ -152,16 +169,25 @@ class Optimizer:
         if command.note is not None and self._notes is not None and command.note >= self._notes:
             reason = f"note {command.note} of teacher {command.teacher}; channels.note has {self._notes} notes"
             self.bus.refusals.add(keys.COMMAND.path, reason)
+        elif self._is_far(command.iteration):
+            self._refuse(keys.COMMAND, f"command of {command.teacher}", command.iteration)
         elif command.iteration >= self._next:
             self._teachers.hear(command)
 
     def _judge(self, feedback: messages.Feedback) -> None:
-        """Keep feedback for the iteration it names, unless that is long over."""
-        if feedback.iteration >= self._next - self._settings.feedback_window:
-            self._teachers.judge(feedback)
+        """Keep feedback for the iteration it names, unless that is long over, or was never."""
+        over = feedback.iteration < self._next - self._settings.feedback_window
+        if over or self._is_far(feedback.iteration):
+            self._refuse(keys.FEEDBACK, f"feedback of {feedback.teacher}", feedback.iteration)
         else:
-            reason = f"feedback of {feedback.teacher} for iteration {feedback.iteration}; now is {self._next}"
-            self.bus.refusals.add(keys.FEEDBACK.path, reason)
+            self._teachers.judge(feedback)
+
+    def _is_far(self, iteration: int) -> bool:
+        """Whether nobody who sees the robot could mean this iteration yet."""
+        return self._cycle is not None and iteration > self._next + KEPT_AHEAD
+
+    def _refuse(self, row: Key, what: str, iteration: int) -> None:
+        self.bus.refusals.add(row.path, f"{what} for iteration {iteration}; now is {self._next}")
 
     def _credit_late_feedback(self) -> None:
         """Send pairs again whose feedback has come since.
@@ -175,10 +201,20 @@ class Optimizer:
                 self._send_pair(msgspec.structs.replace(pair, feedback=value, judges=judges))
 
     def _perceive(self, perception: messages.Perception) -> None:
-        """Take the outcome of the action, or begin where the robot is when it is further than that."""
+        """Take the outcome of the action, or begin where the robot is when it is further than that.
+
+        The first that is met counts; later one that is more than a step ahead only when it insists.
+        """
         now, cycle = self._clock(), self._cycle
-        self._stamp = perception.stamp
         due = self._next if cycle is None or cycle.choice is None else self._next + 1
+        far = perception.iteration > (self._experiment.iterations if cycle is None else due + 1)
+        if far and not (
+            perception.iteration <= self._experiment.iterations and self._elsewhere.believed(perception.iteration, now)
+        ):
+            self._refuse(keys.PERCEPTION, "perception", perception.iteration)
+            return
+        self._elsewhere.nearer()
+        self._stamp = perception.stamp
         if cycle is not None and perception.iteration < due:
             return
         if cycle is None or perception.iteration > due:
@@ -189,8 +225,14 @@ class Optimizer:
             cycle.outcome, cycle.outcome_s = perception, now
 
     def _begin(self, perception: messages.Perception, now: float) -> None:
-        """Begin an iteration; before that end the one that the robot says it has done for us, if it is not stored."""
-        if perception.iteration == self._next + 1 and self._take_up(perception, now):
+        """Begin an iteration; before that end the one that the robot says it has done for us, if it is not stored.
+
+        A robot that has begun anew, or whose last steps did not come to its disk, takes our count with our action.
+        """
+        if perception.iteration < self._next:
+            log.warning("the robot is behind; it goes on here", mine=self._next, robot=perception.iteration)
+            perception = msgspec.structs.replace(perception, iteration=self._next, done=None)
+        if perception.iteration > self._next and self._take_up(perception, now):
             return
         if self._cycle is not None or self._next not in (0, perception.iteration):
             log.warning("the robot is elsewhere; going on there", mine=self._next, robot=perception.iteration)
@@ -200,8 +242,9 @@ class Optimizer:
     def _take_up(self, perception: messages.Perception, now: float) -> bool:
         """Make the cycle of which the robot shows the outcome, from what was meant by its action, if it says that."""
         action = perception.done
-        if action is None or action.intention is None or action.iteration != self._next:
+        if action is None or action.intention is None or action.iteration != perception.iteration - 1:
             return False
+        self._next = action.iteration  # what is between was sent, and may be stored by now
         meant = action.intention
         before = messages.Perception(iteration=action.iteration, event="none", outcome={}, reading=meant.before)
         self._cycle = Cycle(
@@ -255,9 +298,13 @@ class Optimizer:
         return True
 
     def _command_is_in(self, cycle: Cycle) -> bool:
-        if self._teachers.settled(cycle.perception.iteration, self.bus.alive()):
+        if self._teachers.settled(cycle.perception.iteration, self._alive()):
             return True
         return self._time_is_up(cycle, "command", cycle.begun_s, self._settings.command_patience_s)
+
+    def _alive(self) -> frozenset[str]:
+        """Who is alive, or will be: when teacher or router have died and come back, lockstep must not tell."""
+        return self.bus.alive() | self._expected
 
     def _models_are_in(self, cycle: Cycle) -> bool:
         if not self._lockstep:
@@ -319,7 +366,7 @@ class Optimizer:
             cycle.models = dict(self._models.usable)
         if (
             not self._teachers.answered(iteration, cycle.teacher)
-            and self._teachers.is_there(cycle.teacher, self.bus.alive())
+            and self._teachers.is_there(cycle.teacher, self._alive())
             and not self._time_is_up(cycle, "feedback", cycle.outcome_s, self._settings.feedback_patience_s)
         ):
             return False

@@ -16,9 +16,10 @@ from msgspec import Meta
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import ConfigError
 from mdb_services.config import BrainConfig, Section, brain_config, convert, read_file
-from mdb_sim.robot import RobotConfig, RobotError, make_robot
+from mdb_sim.robot import Robot, RobotConfig, RobotError, make_robot
 from mdb_sim.robot_service import RobotService
 from mdb_sim.schedule import TeacherSection, schedule_of
+from mdb_sim.sound import Player
 from mdb_sim.state_file import StateFile
 from mdb_sim.teacher_service import ScriptedTeacher
 
@@ -64,6 +65,8 @@ class Experiment:
                 schedule_of(self.teacher, self.brain.experiment.seed, self.robot.world)
             except ValueError as error:
                 raise ConfigError(f"{source}: teacher: {error}") from error
+            if self.teacher.sound is not None and self.brain.ear is None:
+                raise ConfigError(f"{source}: teacher.sound needs an [ear]; --set ear.detector=template gives it one")
 
     @classmethod
     def read(cls, path: Path, overrides: Iterable[str] = ()) -> Experiment:
@@ -74,19 +77,32 @@ class Experiment:
         """Write the resolved experiment, overrides included: what a run folder keeps."""
         path.write_text(tomli_w.dumps(self.content), encoding="utf-8")
 
-    def robot_service(self, bus: Bus, run: Path | None = None, *, gui: bool = False) -> RobotService:
-        """Build the robot, with its state kept in the run folder; ConfigError when the body cannot be had."""
+    def body(self, *, gui: bool = False) -> Robot:
+        """Make the robot's body; ConfigError when it cannot be had."""
         try:
-            body = make_robot(self.robot.body, self.robot.world, gui=gui)
+            return make_robot(self.robot.body, self.robot.world, gui=gui)
         except RobotError as error:
             raise ConfigError(str(error)) from error
+
+    def robot_service(self, bus: Bus, run: Path | None = None, *, gui: bool = False) -> RobotService:
+        """Build the robot, with its state kept in the run folder; ConfigError when the body cannot be had."""
+        body = self.body(gui=gui)
         action_s = 0.0 if self.brain.lockstep else self.robot.action_s
         power_safe = self.brain.store.durability == "power"
         file = StateFile(run / ROBOT_FILE, power_safe=power_safe) if run is not None else None
         return RobotService(bus, body, self.brain.experiment.seed, action_s, file)
 
+    @property
+    def scripted_teachers(self) -> frozenset[str]:
+        """The liveliness tokens of the teachers who belong to the experiment; empty without a `[teacher]`."""
+        script = f"{ScriptedTeacher.role}/{ScriptedTeacher.instance}"
+        return frozenset({script}) if self.teacher is not None else frozenset()
+
     def teacher_service(self, bus: Bus) -> ScriptedTeacher:
         """Build the scripted teacher; ConfigError when the file has no `[teacher]`."""
         if self.teacher is None:
             raise ConfigError("the experiment file has no [teacher] section with [[teacher.phase]] entries")
-        return ScriptedTeacher(bus, schedule_of(self.teacher, self.brain.experiment.seed, self.robot.world))
+        seed, ear, player = self.brain.experiment.seed, self.brain.ear, None
+        if self.teacher.sound is not None and ear is not None:
+            player = Player(self.teacher.sound, ear.notes_hz, seed)
+        return ScriptedTeacher(bus, schedule_of(self.teacher, seed, self.robot.world), player)

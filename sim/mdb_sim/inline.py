@@ -12,6 +12,7 @@ from mdb_protocol import keys
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import IterationReport
 from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.ear import Ear
 from mdb_services.evolver import Evolver
 from mdb_services.memory_file import MemoryFile
 from mdb_services.memory_store import MemoryStore
@@ -43,7 +44,9 @@ def run_experiment(
     services.append(experiment.robot_service(bus(), gui=gui))
     if experiment.teacher is not None:
         services.append(experiment.teacher_service(bus()))
-    services.append(Optimizer(bus(), brain))
+    if brain.ear is not None:
+        services.append(Ear(bus(), brain))
+    services.append(Optimizer(bus(), brain, expected=experiment.scripted_teachers))
     watcher = bus()
     finished = watcher.subscriber(keys.FINISHED)
     reports = watcher.subscriber(keys.ITERATION)

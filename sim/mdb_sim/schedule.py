@@ -14,6 +14,7 @@ from msgspec import Meta
 from mdb_services.config import Name, Probability, Section
 from mdb_services.mechanism import streams
 from mdb_sim.robot import Placement, RobotConfig
+from mdb_sim.sound import SoundSection
 from mdb_sim.teacher import FEEDBACKS, FeedbackKind, Language, TeacherError, make_language, wanted_action
 
 RANDOM = "random"
@@ -42,6 +43,8 @@ class TeacherSection(Section, frozen=True, kw_only=True):
     """`[teacher]`: how the scripted teacher judges, and its phases."""
 
     feedback: FeedbackKind = "graded"
+    sound: SoundSection | None = None
+    """How the notes sound; without it the teachers name them."""
     phase: Annotated[tuple[PhaseSection, ...], Meta(min_length=1)]
 
 
@@ -69,7 +72,7 @@ class Schedule:
 
     def at(self, iteration: int) -> Phase:
         """Return the phase of an iteration."""
-        return self.phases[bisect_right([phase.start for phase in self.phases], iteration) - 1]
+        return self.phases[bisect_right(self.phases, iteration, key=lambda phase: phase.start) - 1]
 
     def wanted(self, placement: Placement) -> int:
         """Return the action that a teacher commands here."""

@@ -14,6 +14,7 @@ from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus, Publisher
 from mdb_sim.robot import Placement, Pose
 from mdb_sim.schedule import Phase, Schedule
+from mdb_sim.sound import Player
 from mdb_sim.teacher import TeacherError
 
 ROLE = "teacher"
@@ -24,11 +25,14 @@ class ScriptedTeacher:
 
     role, instance = ROLE, "script"
 
-    def __init__(self, bus: Bus, schedule: Schedule) -> None:
+    def __init__(self, bus: Bus, schedule: Schedule, player: Player | None = None) -> None:
+        """Teachers play their notes by `player`; without one they name them."""
         self.bus = bus
+        self._player = player
         self._schedule = schedule
         names = {phase.teacher for phase in schedule.phases if phase.teacher}
         self._commands: dict[str, Publisher] = {n: bus.publisher(keys.COMMAND, teacher=n) for n in names}
+        self._audio: dict[str, Publisher] = {n: bus.publisher(keys.AUDIO, teacher=n) for n in names if player}
         self._feedback: dict[str, Publisher] = {n: bus.publisher(keys.FEEDBACK, teacher=n) for n in names}
         self._silent: Publisher = bus.publisher(keys.COMMAND, teacher=self.instance)
         self._phases = bus.publisher(keys.PHASE)
@@ -59,7 +63,7 @@ class ScriptedTeacher:
         if phase.teacher is None:
             return
         try:
-            value = self._schedule.judge(scene.iteration - 1, _placement(scene.before), scene.action)
+            value = self._schedule.judge(scene.iteration - 1, placement_of(scene.before), scene.action)
         except TeacherError as error:
             self.bus.refusals.add(keys.SCENE.path, str(error))
             return
@@ -75,23 +79,25 @@ class ScriptedTeacher:
 
     def _command(self, scene: messages.Scene) -> None:
         phase = self._schedule.at(scene.iteration)
+        before = self._phase or self._schedule.at(max(0, scene.iteration - 1))  # as the one knew who died before us
         if phase is not self._phase:
-            self._leave(scene.iteration, phase.teacher)
-            self._phase = phase
             self._phases.put(messages.Phase(iteration=phase.start, name=phase.name, teacher=phase.teacher))
         if phase.teacher is None or phase.language is None:
             self._silent.put(messages.Command(teacher=self.instance, iteration=scene.iteration, note=None))
-            return
-        note = self._schedule.note(scene.iteration, _placement(scene.now))
-        self._commands[phase.teacher].put(
-            messages.Command(teacher=phase.teacher, iteration=scene.iteration, note=note)
-        )
+        else:
+            note = self._schedule.note(scene.iteration, placement_of(scene.now))
+            self._say(phase.teacher, scene.iteration, note)
+        self._phase = phase
+        if before.teacher is not None and before.teacher != phase.teacher:
+            # He is silent from now on, which frees the word; after the other's note, which else could come too late.
+            self._say(before.teacher, scene.iteration, None)
 
-    def _leave(self, iteration: int, now: str | None) -> None:
-        """Let the teacher of the phase before say that he is silent from now on, which frees the word."""
-        before = self._phase.teacher if self._phase else None
-        if before is not None and before != now:
-            self._commands[before].put(messages.Command(teacher=before, iteration=iteration, note=None))
+    def _say(self, teacher: str, iteration: int, note: int | None) -> None:
+        if self._player is None:
+            self._commands[teacher].put(messages.Command(teacher=teacher, iteration=iteration, note=note))
+            return
+        for frame in self._player.frames(teacher, iteration, note):
+            self._audio[teacher].put(frame)
 
     def values(self) -> dict[str, float]:
         """Last iteration seen, and rewards and punishments given."""
@@ -101,5 +107,6 @@ class ScriptedTeacher:
         """Nothing to free."""
 
 
-def _placement(seen: messages.Placement) -> Placement:
+def placement_of(seen: messages.Placement) -> Placement:
+    """Return where robot and object are, from the message that says so."""
     return Placement(Pose(seen.x_m, seen.y_m, seen.heading_rad), seen.object_x_m, seen.object_y_m)

@@ -575,3 +575,15 @@ def test_what_was_tried_is_known_after_a_restart() -> None:
     died(rig, iteration=5, **{name: np.array(values, np.int64) for name, values in tried.items()})
     assert rig.optimizer._tried[None].tolist() == [3, -1, -1]
     assert rig.optimizer._tried[2].tolist() == [-1, 4, -1]
+
+
+def test_pairs_on_their_way_while_the_optimizer_died_do_not_cost_the_last_one() -> None:
+    rig = Rig(config(experiment={"iterations": 100}), teacher=False)
+    for i in range(5):
+        rig.sense(i)
+    (action,) = rig.said(keys.ACTION)
+    rig.optimizer.bus.close()
+    rig.said(keys.PAIR)
+    rig.sense(5, 0.5, done=action)
+    died(rig, iteration=2)
+    assert [(pair.iteration, pair.after) for pair in rig.said(keys.PAIR)] == [(4, {"distance": 0.5})]

@@ -76,7 +76,7 @@ def test_phases_change_teacher_and_language_and_the_last_action_is_still_judged_
     for iteration in range(6):
         rig.show(scene(iteration))
     assert [(c.teacher, c.iteration, c.note) for c in rig.said(keys.COMMAND)] == [
-        ("one", 0, 0), ("one", 1, 0), ("one", 2, None), ("script", 2, None), ("script", 3, None), ("two", 4, 6),
+        ("one", 0, 0), ("one", 1, 0), ("script", 2, None), ("one", 2, None), ("script", 3, None), ("two", 4, 6),
         ("two", 5, 6),
     ]  # fmt: skip
     assert [(f.teacher, f.iteration) for f in rig.said(keys.FEEDBACK)] == [("one", 0), ("one", 1), ("two", 4)]
@@ -111,7 +111,7 @@ def test_a_teacher_may_have_any_name(name: str) -> None:
     rig = Rig([{"start": 0, "name": "p", "teacher": name, "language": "paper"}, {"start": 1, "name": "alone"}])
     rig.show(scene(0))
     rig.show(scene(1))
-    assert [(c.teacher, c.note) for c in rig.said(keys.COMMAND)] == [(name, 0), (name, None), ("script", None)]
+    assert [(c.teacher, c.note) for c in rig.said(keys.COMMAND)] == [(name, 0), ("script", None), (name, None)]
 
 
 def only(**mistakes: Any) -> list[dict[str, Any]]:
