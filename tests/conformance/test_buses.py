@@ -252,6 +252,16 @@ def test_wait_is_bounded(make_bus: MakeBus) -> None:
     assert bus.wait(0.01) is False
 
 
+def test_a_poke_from_another_thread_ends_a_wait(make_bus: MakeBus) -> None:
+    bus = make_bus()
+    bus.wait(0.01)
+    poker = threading.Timer(0.05, bus.poke)
+    poker.start()
+    assert bus.wait(BOUND_S) is True
+    poker.join()
+    assert bus.wait(0.01) is False
+
+
 def test_tap_sees_every_key(make_bus: MakeBus) -> None:
     recorder, writer = make_bus(), make_bus()
     tap = recorder.tap()

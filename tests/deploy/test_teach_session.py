@@ -4,22 +4,22 @@ import math
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
-from mdb_deploy.teach.session import (
-    CAPTURES_IN,
-    ERROR_MEAN,
-    OBEDIENCE_OF,
-    WITHOUT_EFFECT,
-    TeachingSession,
-    meaning,
-    swapped,
-)
+from mdb_deploy.cli import experiment_path
+from mdb_deploy.teach import panel
+from mdb_deploy.teach.record import CAPTURES_IN, ERROR_MEAN, OBEDIENCE_OF
+from mdb_deploy.teach.session import WITHOUT_EFFECT, TeachingSession
+from mdb_deploy.teach.view import meaning, swapped
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_services.ear import Ear
 from mdb_services.service import announce
+from mdb_sim.experiment import Experiment
 from mdb_sim.robot import RobotConfig
 from mdb_sim.schedule import TeacherSection, schedule_of
+from mdb_sim.sound import Player, SoundSection
 from mdb_sim.teacher import make_language
 from mdb_sim.teacher_service import ScriptedTeacher
 
@@ -28,6 +28,7 @@ TURNS = RobotConfig().turns_deg
 ORDERED, REVERSED = make_language("ordered", TURNS), make_language("reversed", TURNS)
 AHEAD, LEFT, BEHIND = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.1)
 NONE, LARGE_RIGHT, LARGE_LEFT = 0, 3, 6
+HEARING = Experiment.read(experiment_path("paper"), ["ear.detector=template"]).brain
 
 
 def placement(where: tuple[float, float], x_m: float = 0.0) -> messages.Placement:
@@ -225,6 +226,9 @@ def test_commands_without_effect_are_told_with_the_one_who_holds_the_word() -> N
         rig.report(i, teacher="bob", holder="bob")
     assert "bob holds the word" in str(rig.session.view.trouble)
     assert rig.session.view.exchanges[0].heard is False
+    words = panel.panel(rig.session.view, ANN, TURNS).plain
+    assert f"{WITHOUT_EFFECT - 1} v ahead    ahead    not heard" in words
+    assert "word     bob" in words
     rig.lesson(3, NONE, WITHOUT_EFFECT)
     rig.report(WITHOUT_EFFECT)
     assert rig.session.view.trouble is None
@@ -242,6 +246,15 @@ def test_commands_that_nobody_hears_are_told_as_such() -> None:
     rig.lesson(3, NONE, 9)
     rig.report(9)
     assert rig.session.view.trouble is None
+
+
+def test_commands_that_come_after_the_report_are_told_to_be_too_late() -> None:
+    rig = Rig()
+    for i in range(WITHOUT_EFFECT):
+        rig.show(scene(i))
+        rig.report(i, teacher=None, holder=None)
+        rig.command(3)
+    assert "your notes come too late" in str(rig.session.view.trouble)
 
 
 def test_who_is_there_is_told() -> None:
@@ -348,3 +361,72 @@ def test_on_its_own_it_teaches_as_the_scripted_teacher_does() -> None:
         script.step()
     assert rig.said() == [(c.iteration, c.note) for c in iter(commands.take, None)]
     assert rig.judged() == [(f.iteration, f.value) for f in iter(feedback.take, None)]
+
+
+def flute() -> Player:
+    assert HEARING.ear is not None
+    return Player(SoundSection(instrument="flute"), HEARING.ear.notes_hz, seed=0)
+
+
+def listening(rig: Rig) -> Ear:
+    """A real ear, which is there."""
+    ear = Ear(MemoryBus(rig.fabric, BRAIN), HEARING)
+    announce(ear)
+    return ear
+
+
+def test_without_an_ear_who_plays_is_told() -> None:
+    rig = Rig(player=flute())
+    rig.step()
+    assert "nobody listens to sound" in str(rig.session.view.trouble)
+    listening(rig)
+    rig.step()
+    assert rig.session.view.trouble is None
+
+
+def test_notes_that_are_played_are_heard_by_the_ear() -> None:
+    rig = Rig(player=flute())
+    ear, heard = listening(rig), rig.world.subscriber(keys.HEARD)
+    for i, note in enumerate((0, 6, 3)):
+        rig.show(scene(i))
+        rig.command(note)
+        while ear.step():
+            pass
+        assert heard.take() == messages.Command(teacher=ANN, iteration=i, note=note)
+        rig.step()
+        assert rig.session.view.notice is None
+    assert rig.said() == [], "nothing is said by name"
+    rig.show(scene(3))
+    rig.command(None)
+    assert rig.said() == [(3, None)], "silence needs no sound"
+
+
+def test_a_note_heard_through_the_microphone_is_the_teachers() -> None:
+    rig = Rig(listens=True)
+    ear = listening(rig)
+    rig.session.microphone(np.zeros(800, np.int16), 16_000)
+    rig.step()
+    assert not ear.step(), "there is no scene that sound could be about"
+    rig.show(scene(5))
+    sound = np.concatenate([frame.samples for frame in flute().frames(ANN, 0, ORDERED.note(LARGE_LEFT))])
+    for piece in np.array_split(np.concatenate([sound, np.zeros(16_000, np.int16)]), 20):
+        rig.session.microphone(piece, 16_000)
+        rig.step()
+        while ear.step():
+            pass
+    rig.step()
+    exchange = rig.session.view.exchanges[0]
+    assert (exchange.iteration, exchange.command, exchange.spoke) == (5, LARGE_LEFT, True)
+    rig.show(scene(6, action=LARGE_LEFT))
+    assert rig.session.view.obedience == 1.0
+
+
+def test_what_the_ear_took_for_another_note_is_told() -> None:
+    rig = Rig(player=flute())
+    listening(rig)
+    rig.show(scene(0))
+    rig.command(2)
+    rig.world.publisher(keys.HEARD, teacher=ANN).put(messages.Command(teacher=ANN, iteration=0, note=3))
+    rig.step()
+    assert "the ear heard note 3 of note 2" in str(rig.session.view.notice)
+    assert rig.session.view.exchanges[0].note == 2

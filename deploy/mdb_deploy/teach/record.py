@@ -1,4 +1,4 @@
-"""A teacher's memory of the lesson, and the measures that follow from it. Pure: no bus, no clock."""
+"""A teacher's memory of one run, and the measures that follow from it. Pure: no bus, no clock."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ class Record:
         self._teacher = teacher
         self.without_effect = 0
         """Commands in a row that the brain's reports do not name this teacher for."""
+        self._reported = -1
         self._exchanges: dict[int, Exchange] = {}
         self._sent_s: dict[int, float] = {}
         self._errors: dict[str, deque[float]] = {}
@@ -49,17 +50,21 @@ class Record:
             self._sent_s.pop(oldest, None)
 
     def said(self, iteration: int, note: int | None, command: int | None, now_s: float) -> None:
-        """Remember a note, or silence, and when it was said."""
+        """Remember a note, or silence, and when it was said; a note after the iteration's report was too late."""
         self.note_down(iteration, spoke=True, note=note, command=command)
         self._sent_s[iteration] = now_s
+        if iteration <= self._reported:
+            self._take_effect(iteration, heard=False)
+
+    def _take_effect(self, iteration: int, *, heard: bool) -> None:
+        """Count whether a note had an effect; silence has none to have."""
+        if self.exchange(iteration).note is not None:
+            self.without_effect = 0 if heard else self.without_effect + 1
+            self.note_down(iteration, heard=heard)
 
     def see(self, scene: messages.Scene, now_s: float) -> None:
-        """Take in a scene; one of an earlier iteration than the last means a new run."""
-        last = self._scene
-        if last is not None and scene.iteration < last.iteration:
-            self.__init__(self._teacher)  # type: ignore[misc]
-            last = None
-        self._scene = scene
+        """Take in a scene."""
+        last, self._scene = self._scene, scene
         if scene.action is not None:
             self.note_down(scene.iteration - 1, action=scene.action)
             if (sent_s := self._sent_s.get(scene.iteration - 1)) is not None:
@@ -75,10 +80,9 @@ class Record:
         """Take in the brain's own word on an iteration: whom it obeyed, how well it had foreseen what came."""
         for model, error in report.prequential.items():
             self._errors.setdefault(model, deque(maxlen=ERROR_MEAN)).append(error)
-        heard = report.teacher == self._teacher if self.exchange(report.iteration).note is not None else None
-        if heard is not None:
-            self.without_effect = 0 if heard else self.without_effect + 1
-        self.note_down(report.iteration, action=report.action, heard=heard)
+        self._reported = report.iteration
+        self.note_down(report.iteration, action=report.action)
+        self._take_effect(report.iteration, heard=report.teacher == self._teacher)
         if (sent_s := self._sent_s.pop(report.iteration, None)) is not None:
             self._latency = replace(self._latency, to_report_s=now_s - sent_s)
 

@@ -6,20 +6,23 @@ import asyncio
 import signal
 import sys
 from collections import deque
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import structlog
 
-from mdb_deploy.teach.app import NOTE_KEYS, TeachApp
+from mdb_deploy.microphone import Microphone
+from mdb_deploy.teach.app import TeachApp
+from mdb_deploy.teach.keyboard import NOTE_KEYS
 from mdb_deploy.teach.session import TeachingSession
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import ConfigError, MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.config import convert, read_file
+from mdb_services.config import EarSection, convert, read_file
 from mdb_sim.robot import RobotConfig
+from mdb_sim.sound import Player, SoundSection
 from mdb_sim.teacher import Language, TeacherError, make_language
 from mdb_sim.teacher_service import ROLE
 
@@ -42,20 +45,34 @@ class TeachOptions:
     experiment: Path | None = None
     suggest: bool = False
     auto: bool = False
+    sound: str | None = None
+    """An instrument that plays the notes."""
+    microphone: bool = False
 
 
 def teach(options: TeachOptions) -> int:
     """Teach until the person leaves; return the exit status. MdbError when that cannot be, or failed."""
-    world = world_of(options.experiment)
+    content = read_file(options.experiment) if options.experiment is not None else {}
+    world, source = world_of(content, options.experiment), options.experiment
+    player = player_of(options.sound, content, source, len(world.turns_deg)) if options.sound else None
     language = language_of(options.language, world)
-    kept = keep_log()
     brain, name = who(options)
+    sys.stderr.write(f"joining {brain} at {options.connect} as {name}\n")
+    kept = keep_log()
     with ZenohBus(brain, options.connect, credentials=options.keys) as bus:
         if f"{ROLE}/{name}" in bus.alive():
             raise MdbError(f"somebody teaches {brain} as {name} already; choose another --name")
-        session = TeachingSession(bus, name, language, world, auto=options.auto)
+        session = TeachingSession(
+            bus, name, language, world, auto=options.auto, player=player, listens=options.microphone
+        )
         app = TeachApp(session, options.connect, suggest=options.suggest)
-        status = asyncio.run(_until_left(app))
+        microphone = Microphone()
+        if options.microphone:
+            microphone.start(session.microphone)
+        try:
+            status = asyncio.run(_until_left(app))
+        finally:
+            microphone.stop()
     sys.stderr.writelines(f"{line}\n" for line in kept)
     if app.thread.failure is not None:
         raise MdbError(f"teaching ended: {app.thread.failure}") from app.thread.failure
@@ -80,15 +97,20 @@ async def _until_left(app: TeachApp) -> int:
     return app.return_code or 0 if status is None else status
 
 
-def world_of(experiment: Path | None) -> RobotConfig:
-    """Return the robot's world of an experiment file, or the shipped one; ConfigError when it cannot be taught."""
-    if experiment is None:
-        return RobotConfig()
-    section = read_file(experiment).get("robot", {}).get("world", {})
-    world = convert(section, RobotConfig, experiment)
+def world_of(content: Mapping[str, Any], source: Path | None) -> RobotConfig:
+    """Return the robot's world of an experiment file's content; ConfigError when it cannot be taught."""
+    world = convert(content.get("robot", {}).get("world", {}), RobotConfig, source)
     if len(world.turns_deg) > len(NOTE_KEYS):
-        raise ConfigError(f"{experiment}: {len(world.turns_deg)} actions; there are keys for {len(NOTE_KEYS)}")
+        raise ConfigError(f"{source}: {len(world.turns_deg)} actions; there are keys for {len(NOTE_KEYS)}")
     return world
+
+
+def player_of(instrument: str, content: Mapping[str, Any], source: Path | None, notes: int) -> Player:
+    """Return who plays the notes in the scale of the file's `[ear]`; ConfigError when that cannot be."""
+    ear = convert(content.get("ear", {}), EarSection, source)
+    if len(ear.notes_hz) != notes:
+        raise ConfigError(f"{source}: ear.notes_hz has {len(ear.notes_hz)} notes; expected {notes}, one an action")
+    return Player(convert({"instrument": instrument}, SoundSection, "--sound"), ear.notes_hz, seed=0)
 
 
 def language_of(name: str, world: RobotConfig) -> Language:

@@ -139,8 +139,12 @@ class TeachingSession:
 
     def _see(self, scene: messages.Scene) -> None:
         """Take in a new scene; in a pause and with `auto` it is answered here."""
-        if self.view.scene is not None and scene.iteration == self.view.scene.iteration:
+        last = self.view.scene
+        if last is not None and scene.iteration == last.iteration:
             return  # a robot that waits shows it again
+        if last is not None and scene.iteration < last.iteration:  # another run, which counts anew
+            self._record = Record(self.instance)
+            self._show(report=None)
         self._record.see(scene, self._clock())
         wanted = wanted_action(placement_of(scene.now), self.world.turns_rad)
         self._show(scene=scene, wanted=wanted, finished=False)
@@ -200,7 +204,9 @@ class TeachingSession:
         if not said.spoke and heard.note is not None and heard.note < len(self.view.language.notes):
             self._remember(heard.iteration, heard.note)
         elif said.spoke and said.note not in (None, heard.note):
-            self._notice(f"the ear heard {'nothing' if heard.note is None else f'note {heard.note}'} of note {said.note}")
+            self._notice(
+                f"the ear heard {'nothing' if heard.note is None else f'note {heard.note}'} of note {said.note}"
+            )
 
     def _judge(self, iteration: int, value: float) -> None:
         if iteration < 0:

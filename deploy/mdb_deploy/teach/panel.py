@@ -1,0 +1,122 @@
+"""The words and figures around the picture: pure functions from a view to text. `turns`: the actions, in degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.text import Text
+
+from mdb_deploy.teach.keyboard import HELP, NOTE_KEYS
+from mdb_deploy.teach.record import CAPTURES_IN, OBEDIENCE_OF
+from mdb_deploy.teach.view import Exchange, Latency, View, meaning
+from mdb_protocol.messages import IterationReport
+
+CELL = 11
+"""Columns of a key in the rows of notes."""
+NOTICE_S = 4.0
+"""A notice is shown so long."""
+GOOD, BAD, WARN, FAINT, TITLE = "green", "red", "yellow", "grey50", "bold"
+BY = {"taught": "taught, by its teacher", "induced": "induced, by itself"}
+"""The paper's two modes in words; another experiment's mode is shown by its name."""
+
+
+def top(view: View, name: str, brain: str, where: str) -> Text:
+    """Return who teaches whom, and whether he is heard."""
+    heard = ("connected", GOOD) if view.trouble is None else ("not heard", BAD)
+    state = " · the experiment is over" if view.finished else " · pause: silent" if view.paused else ""
+    return Text.assemble((name, TITLE), " teaches ", (brain, TITLE), f" at {where} · ", heard, (state, WARN))
+
+
+def says(view: View, turns: Sequence[float], now_s: float, *, suggest: bool) -> Text:
+    """Return what is most urgent to say: trouble, a notice, which command would be right."""
+    if view.trouble is not None:
+        return Text(view.trouble, f"bold {BAD}")
+    if view.notice is not None and now_s - view.noticed_s < NOTICE_S:
+        return Text(view.notice, WARN)
+    if suggest and view.wanted is not None:
+        key = NOTE_KEYS[view.language.note(view.wanted)]
+        return Text(f"to face the object: {meaning(turns[view.wanted])}, your key {key}", GOOD)
+    return Text()
+
+
+def note_keys(view: View, turns: Sequence[float], columns: int, *, suggest: bool) -> Text:
+    """Return each note's key and what it means, in as many rows as are needed; the last note said is reversed."""
+    last = next((exchange.note for exchange in view.exchanges if exchange.spoke), None)
+    wanted = view.language.note(view.wanted) if suggest and view.wanted is not None else None
+    in_a_row = max(1, columns // CELL)
+    text = Text()
+    for note in range(len(turns)):
+        turn = meaning(turns[view.language.command(note)])
+        style = "reverse" if note == last else GOOD if note == wanted else ""
+        text.append("\n" if note and note % in_a_row == 0 else "")
+        text.append(NOTE_KEYS[note], f"{TITLE} {style}").append(f" {turn}".ljust(CELL - 1)[: CELL - 1], style)
+    return text
+
+
+def help_line() -> Text:
+    """Return the other keys."""
+    text = Text()
+    for key, what in HELP:
+        text.append(key, TITLE).append(f" {what}  ", FAINT)
+    return text
+
+
+def panel(view: View, name: str, turns: Sequence[float]) -> Text:
+    """Return the figures, the most important first, then the last iterations, the newest first."""
+    judged = f"{view.obedience:.0%} of {view.judged} (last {OBEDIENCE_OF})" if view.obedience is not None else "-"
+    rate = f", {view.captures_per_100:.1f} in {CAPTURES_IN}" if view.captures_per_100 is not None else ""
+    rows = [
+        ("acts", _acting(view.report)),
+        ("word", _word(view, name)),
+        ("captures", f"{view.captures}{rate}"),
+        ("obeys", judged),
+        *_errors(view.errors),
+        *_latency(view.latency),
+    ]
+    text = Text()
+    for title, said in rows:
+        text.append(f"{title:<9}", TITLE).append(f"{said}\n")
+    text.append(f"\n{'iter.':>6} {'meant':<9}{'did':<9}reward\n", FAINT)
+    for exchange in view.exchanges:
+        text.append_text(_exchange(exchange, turns))
+    return text
+
+
+def _acting(report: IterationReport | None) -> str:
+    if report is None:
+        return "-"
+    return f"{report.mode}, exploring" if report.explored else BY.get(report.mode, report.mode)
+
+
+def _word(view: View, name: str) -> str:
+    holder = view.report.holder if view.report else None
+    others = f" (also here: {', '.join(view.others)})" if view.others else ""
+    return ("-" if holder is None else "you" if holder == name else holder) + others
+
+
+def _errors(errors: dict[str, float]) -> list[tuple[str, str]]:
+    lines = [f"{model} {error:.3f}" for model, error in sorted(errors.items())]
+    return list(zip(["error", *[""] * len(lines)], lines, strict=False))
+
+
+def _latency(latency: Latency) -> list[tuple[str, str]]:
+    """From a command to the sight of its action and to its report; the brain's part of it."""
+    seen, back, own = map(_ms, (latency.to_action_s, latency.to_report_s, latency.perception_to_action_s))
+    return [("ms until", f"action {seen}, report {back}"), ("", f"brain's own {own}")]
+
+
+def _ms(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{1000 * seconds:.0f}"
+
+
+def _exchange(exchange: Exchange, turns: Sequence[float]) -> Text:
+    """Return one line: iteration, key, what was meant, what the robot did, feedback."""
+    key = "·" if exchange.note is None else NOTE_KEYS[exchange.note]
+    meant = "-" if exchange.command is None else meaning(turns[exchange.command])
+    did = "…" if exchange.action is None or exchange.action >= len(turns) else meaning(turns[exchange.action])
+    known = exchange.command is not None and exchange.action is not None
+    style = "" if not known else GOOD if exchange.command == exchange.action else BAD
+    text = Text(f"{exchange.iteration:>4} {key} {meant:<9}").append(f"{did:<9}", style)
+    if exchange.heard is False:
+        return text.append("not heard\n", BAD)
+    return text.append("\n" if exchange.feedback is None else f"{exchange.feedback:+.2f}\n")
