@@ -223,6 +223,18 @@ def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
     plot.add_argument("run", type=Path, nargs="+", help="run folder; several: one figure with a confidence band")
     plot.add_argument("--out", type=Path, help="where the figures go (the run folder)")
     plot.set_defaults(command=_plot)
+    replay = commands.add_parser(
+        "replay",
+        help="replay services of a recorded run alone against its log",
+        description="Each service hears what it heard then, and must say what it said then, value by value; "
+        "otherwise the exit status is 1. Of a concurrent run robot, teacher, ear and evolvers can be replayed.",
+    )
+    replay.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    replay.add_argument("roles", nargs="*", metavar="ROLE", help="as memory, evolver, evolver/object, robot (all)")
+    replay.add_argument(
+        "--tolerance", type=float, default=0.0, help="by which floats may differ: a log of another processor (0)"
+    )
+    replay.set_defaults(command=_replay)
     status = commands.add_parser("status", help="who is alive, and how each process does")
     health = commands.add_parser("health", help="exit status 0 when ROLE/INSTANCE (or the router) is ready")
     health.add_argument("name", help="router, or ROLE/INSTANCE as in 'mdb status'")
@@ -230,8 +242,16 @@ def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
         parser.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
         parser.add_argument("--brain", default="pioneer", help="the brain's name")
         _add_keys(parser)
+    status.add_argument("--json", action="store_true", help="one line of JSON, for scripts")
+    status.add_argument(
+        "--watch", type=float, nargs="?", const=1.0, metavar="SECONDS", help="again and again (every second)"
+    )
     status.set_defaults(command=_status)
     health.set_defaults(command=_health)
+    rescue = commands.add_parser("rescue", help="a new run folder from one whose memory file is damaged")
+    rescue.add_argument("run", type=Path, metavar="RUN", help="run folder, in which nothing is changed")
+    rescue.add_argument("--out", type=Path, required=True, metavar="NEW", help="the new one, for 'mdb up --resume'")
+    rescue.set_defaults(command=_rescue)
     acceptance = commands.add_parser("acceptance", help="many seeds, judged by the acceptance table")
     acceptance.add_argument("--seeds", default="1-5", help="as in 1-5 or 1,4,9")
     acceptance.add_argument("--out", type=Path, default=Path("runs/acceptance"), help="where the runs go")
@@ -501,10 +521,26 @@ def _draw(runs: list[Path], out: Path | None) -> list[Path]:
     return draw(runs[0], out) if len(runs) == 1 else draw_band(runs, out or Path())
 
 
+def _replay(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.replay import replay_run
+
+    return replay_run(arguments.run, arguments.roles, arguments.tolerance)
+
+
+def _rescue(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.rescue import rescue_run
+
+    found = rescue_run(arguments.run, arguments.out)
+    sys.stdout.write(f"{found.words()}\ngo on with: mdb up --resume {arguments.out}\n")
+    return 0
+
+
 def _status(arguments: argparse.Namespace) -> int:
     from mdb_deploy.status import show_status
 
-    return show_status(arguments.brain, arguments.connect, arguments.keys)
+    return show_status(
+        arguments.brain, arguments.connect, arguments.keys, as_json=arguments.json, every_s=arguments.watch
+    )
 
 
 def _health(arguments: argparse.Namespace) -> int:

@@ -6,19 +6,24 @@ the encoding, then the payload of a `messages.LongTermFile`. Models are named MO
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import msgspec
+import structlog
 
 from mdb_protocol import codec
-from mdb_protocol.errors import ConfigError, DecodeError, MdbError
+from mdb_protocol.errors import ConfigError, DamageError, DecodeError, MdbError
 from mdb_protocol.messages import LongTermFile, LongTermModel
-from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.config import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.mechanism.network import Network
 from mdb_services.memory_file import MemoryFile
+from mdb_services.memory_rescue import survey
 from mdb_sim.experiment import Experiment
+
+log = structlog.get_logger()
 
 SHOWN_PAIRS = 10
 """Pairs of a model's sample that `show` prints."""
@@ -44,11 +49,20 @@ def _read_run(run: Path) -> list[LongTermModel]:
     path = run / MEMORY_FILE
     if not path.is_file():
         raise MdbError(f"no {MEMORY_FILE} in {run}; give the folder that 'mdb up' named at its end")
-    with MemoryFile(path) as file:
-        try:
-            return file.long_term()
-        except (sqlite3.Error, DecodeError) as error:
-            raise file.unusable(error) from error
+    try:
+        with MemoryFile(path) as file:
+            return _long_term(file)
+    except DamageError as error:
+        models = survey(path, Experiment.read(run / EXPERIMENT_FILE).brain).long_term
+        log.warning("the memory file is damaged; these are the models that can be read", reason=str(error))
+        return models
+
+
+def _long_term(file: MemoryFile) -> list[LongTermModel]:
+    try:
+        return file.long_term()
+    except (sqlite3.Error, DecodeError) as error:
+        raise file.unusable(error) from error
 
 
 def _read_file(path: Path) -> list[LongTermModel]:
@@ -76,6 +90,7 @@ def export(source: Path, names: Sequence[str], out: Path) -> int:
 def bring(source: Path, names: Sequence[str], run: Path) -> int:
     """Put models of a source into the long-term memory of a run that is not going on; return how many.
 
+    Of a run that has not begun yet the memory is kept as it is then, so that it can be replayed.
     MdbError when the run's experiment has no such model, or one whose numbers mean something else.
     """
     models = read(source, names)
@@ -94,6 +109,9 @@ def bring(source: Path, names: Sequence[str], run: Path) -> int:
             origin = f"{source.resolve()}: {model.model}/{model.id}"[-4096:]
             brought.append(msgspec.structs.replace(model, id=free, origin=origin, touched=0))
         file.keep_long_term(brought)
+        begun = file.count() > 0
+    if not begun:
+        shutil.copy(run / MEMORY_FILE, run / BEGINNING_FILE)
     return len(models)
 
 

@@ -16,7 +16,7 @@ import structlog
 from mdb_deploy.access import ACCESS_FILE
 from mdb_protocol import endpoints
 from mdb_protocol.bus import Bus
-from mdb_protocol.errors import BusError, ConfigError
+from mdb_protocol.errors import BusError, ConfigError, DamageError
 from mdb_protocol.zenoh_bus import Router, RouterKeys, ZenohBus
 from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.service import Service, Stopper, run
@@ -157,10 +157,14 @@ def _recorder(bus: Bus, run_folder: Path) -> Service:
 
 def _memory(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:
     from mdb_services.memory_file import MemoryFile
+    from mdb_services.memory_rescue import survey
     from mdb_services.memory_store import MemoryStore
 
-    power_safe = experiment.brain.store.durability == "power"
-    return MemoryStore(bus, experiment.brain, MemoryFile(run_folder / MEMORY_FILE, power_safe=power_safe))
+    brain, path = experiment.brain, run_folder / MEMORY_FILE
+    try:
+        return MemoryStore(bus, brain, MemoryFile(path, power_safe=brain.store.durability == "power"))
+    except DamageError as error:
+        raise DamageError(f"{error}. What can be read: {survey(path, brain).words()}") from error
 
 
 def _evolver(bus: Bus, experiment: Experiment, model: str | None) -> Service:

@@ -1,8 +1,9 @@
 """The runner: starts the processes of a brain in order, restarts what dies, stops all within two seconds.
 
 Owns the child processes and their logs. Ready is whoever's liveliness token is there; the router is ready
-when it answers. Each child is a session of its own, so Ctrl-C reaches only the runner, and stops by itself
-when the runner is gone.
+when it answers. What dies comes back at once; what dies quickly again and again comes back later each time, and
+soon not at all: then the run ends with its last lines. Each child is a session of its own, so Ctrl-C reaches only
+the runner, and stops by itself when the runner is gone.
 """
 
 from __future__ import annotations
@@ -28,12 +29,14 @@ READY_S = 90.0
 """Bound on a process becoming ready; the first start on a machine compiles the evolvers' kernels."""
 STOP_S = 1.5
 """Between SIGTERM and SIGKILL."""
+STALE_S = 0.1
+"""A token is not believed before: that of who died is gone in milliseconds, and no successor is ready so soon."""
 QUICK_S = 5.0
-"""A process that died sooner than this after its start died quickly."""
+"""A process that died before it was ready, or sooner than this after its start, died quickly."""
 QUICK_DEATHS = 5
 """So many quick deaths in a row end the run."""
 BACKOFF_S = 0.2
-BACKOFF_LIMIT_S = 5.0
+"""Before the start that follows a second quick death in a row; twice as long after each further one."""
 LAST_LINES = 15
 
 
@@ -49,9 +52,14 @@ class Child:
     log_path: Path
     process: asyncio.subprocess.Process | None = None
     started_s: float = 0.0
-    was_ready: bool = False
+    ready: bool = False
     restarts: int = 0
     quick_deaths: int = 0
+
+    @property
+    def backoff_s(self) -> float:
+        """How long to wait before the next start."""
+        return BACKOFF_S * 2.0 ** (self.quick_deaths - 2) if self.quick_deaths > 1 else 0.0
 
     def last_lines(self) -> str:
         """Return the end of the child's log."""
@@ -89,20 +97,26 @@ class Runner:
         await asyncio.gather(*(self._start(child, on_ready) for child in self.children.values()))
 
     async def _start(self, child: Child, on_ready: Callable[[str], None]) -> None:
-        while not (all(self.children[name].was_ready for name in child.spec.after) and self._somebody(child.spec)):
+        while not (all(self.children[name].ready for name in child.spec.after) and self._somebody(child.spec)):
             await self._pause(child)
         await self._spawn(child)
-        deadline = time.monotonic() + READY_S
-        while child.spec.token not in self._alive():
+        await self._until_ready(child)
+        on_ready(child.spec.name)
+        self._watchers.append(asyncio.create_task(self._watch(child)))
+
+    async def _until_ready(self, child: Child) -> None:
+        """Return when a process is ready; StartError when it ends before, or is not in time."""
+        while not self._is_ready(child):
             assert child.process is not None
             if child.process.returncode is not None:
                 raise StartError(self._report(child, f"ended with status {child.process.returncode}"))
-            if time.monotonic() > deadline:
+            if time.monotonic() - child.started_s > READY_S:
                 raise StartError(self._report(child, f"was not ready within {READY_S:g} s"))
             await self._pause(child)
-        child.was_ready = True
-        on_ready(child.spec.name)
-        self._watchers.append(asyncio.create_task(self._watch(child)))
+        child.ready = True
+
+    def _is_ready(self, child: Child) -> bool:
+        return time.monotonic() - child.started_s > STALE_S and child.spec.token in self._alive()
 
     def _somebody(self, spec: ProcessSpec) -> bool:
         return not spec.awaits or any(name.startswith(f"{spec.awaits}/") for name in self._alive())
@@ -129,25 +143,47 @@ class Runner:
         child.started_s = time.monotonic()
 
     async def _watch(self, child: Child) -> None:
-        """Restart a process that dies, later each time it dies quickly; give up after `QUICK_DEATHS`."""
+        """Restart a process whenever it dies; give up after `QUICK_DEATHS`."""
         while True:
             assert child.process is not None
             status = await child.process.wait()
             if self._stopping:
                 return
-            quick = time.monotonic() - child.started_s < QUICK_S
+            quick = not child.ready or time.monotonic() - child.started_s < QUICK_S
+            child.ready = False
             child.quick_deaths = child.quick_deaths + 1 if quick else 0
             log.warning("process died", name=child.spec.name, status=status, restarts=child.restarts)
             if not child.spec.restarts or child.quick_deaths >= QUICK_DEATHS:
-                reason = f"died {child.quick_deaths} times within {QUICK_S:g} s of its start, last with {status}"
-                if not self.failed.done():
-                    self.failed.set_result(StartError(self._report(child, reason)))
+                self._give_up(child, status)
                 return
-            await asyncio.sleep(min(BACKOFF_S * 2**child.quick_deaths, BACKOFF_LIMIT_S))
+            await asyncio.sleep(child.backoff_s)
             if self._stopping:
                 return
-            child.restarts += 1
-            await self._spawn(child)
+            await self._restart(child)
+
+    async def _restart(self, child: Child) -> None:
+        """Start a process again and wait until it is ready; one that is not in time is ended, which is a death."""
+        child.restarts += 1
+        await self._spawn(child)
+        try:
+            await self._until_ready(child)
+        except StartError as error:
+            if not self._stopping:
+                log.warning("process did not come back", reason=str(error).partition("\n")[0])
+            _signal(child, signal.SIGKILL)
+            return
+        took_s = time.monotonic() - child.started_s
+        log.info("process is ready again", name=child.spec.name, start_s=round(took_s, 2), restarts=child.restarts)
+
+    def _give_up(self, child: Child, status: int) -> None:
+        reason = f"ended with status {status}, and is not to be started again"
+        if child.spec.restarts:
+            reason = (
+                f"died {child.quick_deaths} times in a row before it was ready or within {QUICK_S:g} s of its start, "
+                f"last with status {status}"
+            )
+        if not self.failed.done():
+            self.failed.set_result(StartError(self._report(child, reason)))
 
     def _report(self, child: Child, what: str) -> str:
         return f"{child.spec.name} {what}. Its last lines ({child.log_path}):\n{child.last_lines()}"

@@ -1,44 +1,137 @@
-"""`mdb status`: who is alive, by the liveliness tokens, and how each does, by its status queryable."""
+"""`mdb status`: who is alive, by the liveliness tokens, and how each does, by its status queryable.
+
+Owns the table and the JSON; asks, and never changes anything.
+"""
 
 from __future__ import annotations
 
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.table import Table
 
-from mdb_protocol import keys
+from mdb_protocol import codec, keys
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import QueryError
 from mdb_protocol.messages import Status
 from mdb_protocol.zenoh_bus import ZenohBus
 
 QUERY_S = 2.0
+COLUMNS = ("service", "pid", "up", "msg/s", "queue", "behind", "refused", "dropped", "memory", "figures")
+BEHIND = "behind"
+"""A figure of this name, or that begins with it and a dot, is a number of versions."""
 
 
-def show_status(brain: str, connect: str, credentials: Path | None = None) -> int:
-    """Print a row for each living service; return 1 when nobody lives."""
-    console = Console()
-    with ZenohBus(brain, connect, credentials=credentials, connect_timeout_s=1.0) as bus:
-        alive = sorted(bus.alive())
-        table = Table(title=f"mdb/{brain} at {connect}")
-        for column in ("service", "pid", "up", "figures", "refused"):
-            table.add_column(column, overflow="fold")
-        for name in alive:
-            table.add_row(*_row(bus, name))
-    console.print(table if alive else f"nobody is alive in mdb/{brain} at {connect}")
-    return 0 if alive else 1
+@dataclass(frozen=True)
+class Row:
+    """A service that is alive: what it says of itself, or why it says nothing."""
+
+    name: str
+    status: Status | None
+    silent: str = ""
+
+    @property
+    def behind(self) -> int:
+        """Versions of a memory or model that it lags, of all that it follows the most."""
+        values = self.status.values.items() if self.status is not None else ()
+        return int(max((v for k, v in values if k.partition(".")[0] == BEHIND and math.isfinite(v)), default=0))
+
+    def plain(self) -> dict[str, Any]:
+        """Return what is known as plain values; a figure that is not finite is None, for JSON has none such."""
+        if self.status is None:
+            return {"service": self.name, "answers": False, "reason": self.silent}
+        said = codec.to_plain(self.status)
+        said["values"] = {k: v if math.isfinite(v) else None for k, v in said["values"].items()}
+        return {"service": self.name, "answers": True, "behind": self.behind, **said}
+
+    def cells(self) -> tuple[str, ...]:
+        """Return the row of the table."""
+        said = self.status
+        if said is None:
+            return (self.name, *"?" * 8, self.silent)
+        figures = ", ".join(f"{k} {v:.4g}" for k, v in said.values.items() if k.partition(".")[0] != BEHIND)
+        return (
+            self.name, str(said.pid), f"{said.uptime_s:.0f} s", f"{said.rate_hz:.1f}", str(said.queued),
+            str(self.behind), str(sum(said.refused.values())), str(sum(said.dropped.values())),
+            f"{said.memory_bytes / 2**20:.0f} MB" if said.memory_bytes else "?", figures,
+        )  # fmt: skip
+
+    def counts(self) -> list[str]:
+        """Return a line for each key of which something was refused or dropped."""
+        if self.status is None:
+            return []
+        found = (("refused", self.status.refused), ("dropped", self.status.dropped))
+        return [f"{self.name} {what} {n} of {key}" for what, by_key in found for key, n in sorted(by_key.items())]
 
 
-def _row(bus: Bus, name: str) -> tuple[str, str, str, str, str]:
+def rows_of(bus: Bus) -> list[Row]:
+    """Ask everyone who is alive; each that is frozen takes `QUERY_S`."""
+    return [_ask(bus, name) for name in sorted(bus.alive())]
+
+
+def _ask(bus: Bus, name: str) -> Row:
     role, _, instance = name.partition("/")
     try:
         answers: list[Status] = bus.query(keys.STATUS, QUERY_S, role=role, instance=instance)
     except QueryError as error:
-        return name, "?", "?", str(error), ""
-    if not answers:
-        return name, "?", "?", "alive, but does not answer", ""
-    status = answers[0]
-    figures = ", ".join(f"{key} {value:.4g}" for key, value in status.values.items())
-    refused = ", ".join(f"{key}: {count}" for key, count in status.refused.items())
-    return name, str(status.pid), f"{status.uptime_s:.0f} s", figures, refused
+        return Row(name, None, f"does not answer: {error}")
+    return Row(name, answers[0]) if answers else Row(name, None, "alive, but does not answer")
+
+
+def show_status(
+    brain: str,
+    connect: str,
+    credentials: Path | None = None,
+    *,
+    as_json: bool = False,
+    every_s: float | None = None,
+) -> int:
+    """Print a row for each living service, or a line of JSON; with `every_s` again and again, until interrupted.
+
+    Return 1 when nobody lives.
+    """
+    where = f"mdb/{brain} at {connect}"
+    with ZenohBus(brain, connect, credentials=credentials, connect_timeout_s=1.0) as bus:
+        if as_json:
+            rows = _repeat(bus, lambda rows: _print_json(rows, brain, connect), every_s)
+        elif every_s is None:
+            rows = _repeat(bus, lambda rows: Console().print(_table(rows, where)), None)
+        else:
+            with Live(console=Console(), auto_refresh=False) as live:
+                rows = _repeat(bus, lambda rows: live.update(_table(rows, where), refresh=True), every_s)
+    return 0 if rows else 1
+
+
+def _repeat(bus: Bus, show: Callable[[list[Row]], None], every_s: float | None) -> list[Row]:
+    while True:
+        rows = rows_of(bus)
+        show(rows)
+        if every_s is None:
+            return rows
+        time.sleep(every_s)
+
+
+def _print_json(rows: list[Row], brain: str, connect: str) -> None:
+    said = {"brain": brain, "connect": connect, "time_s": time.time(), "services": [row.plain() for row in rows]}
+    sys.stdout.write(json.dumps(said, allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
+def _table(rows: list[Row], where: str) -> RenderableType:
+    if not rows:
+        return f"nobody is alive in {where}"
+    table = Table(title=where)
+    for column in COLUMNS:
+        numbers = column not in ("service", "figures")
+        table.add_column(column, justify="right" if numbers else "left", no_wrap=numbers, overflow="fold")
+    for row in rows:
+        table.add_row(*row.cells())
+    return Group(table, *(line for row in rows for line in row.counts()))

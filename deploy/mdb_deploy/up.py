@@ -20,7 +20,6 @@ from mdb_deploy.progress import Progress
 from mdb_deploy.runner import Runner, StartError
 from mdb_protocol import endpoints, keys
 from mdb_protocol.bundle import Bundle
-from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.config import EXPERIMENT_FILE
@@ -164,14 +163,16 @@ class _Watch:
         self._keys = options.keys
         self._endpoint = options.run / ENDPOINT_FILE
         self._endpoint.unlink(missing_ok=True)
-        self._bus: Bus | None = None
+        self._bus: ZenohBus | None = None
         self.on_endpoint: Callable[[str], None] = lambda _: None
 
     def alive(self) -> frozenset[str]:
         """Return the liveliness tokens, and the router's name once it answers."""
         if self._bus is None and self._endpoint.exists():
             self._join(self._endpoint.read_text(encoding="utf-8"))
-        return frozenset() if self._bus is None else self._bus.alive() | {ROUTER}
+        if self._bus is None or not self._bus.connected():
+            return frozenset()
+        return self._bus.alive() | {ROUTER}
 
     def _join(self, endpoint: str) -> None:
         try:

@@ -8,16 +8,17 @@ callbacks of a transport only hand raw samples to an inbox; `wait` returns when 
 from __future__ import annotations
 
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import structlog
 
 from mdb_protocol import codec
-from mdb_protocol.errors import DecodeError
+from mdb_protocol.errors import BusError, DecodeError
 from mdb_protocol.keys import ALIVE, Delivery, Key
 from mdb_protocol.messages import Message
 
@@ -25,12 +26,22 @@ log = structlog.get_logger()
 
 M = TypeVar("M", bound=Message)
 
-LATEST_KEPT = 16
-"""Raw samples a latest-value inbox keeps, so that junk behind a good value does not hide it."""
+LATEST_KEPT = 64
+"""Samples a latest-value inbox keeps, so that junk behind a good value does not hide it."""
 RELIABLE_KEPT = 65_536
-"""Raw samples a reliable inbox keeps; beyond it the oldest is dropped and counted."""
+"""Samples a reliable inbox, or a tap, keeps; beyond it the oldest is dropped and counted."""
+KEPT_BYTES = 2**26
+"""Bytes of samples that any of them keeps."""
+AT_ONCE = 256
+"""Messages of one inbox that are taken, or refused, before all else gets its turn."""
 LOGGED_REFUSALS = 3
-"""Refused messages logged in words for each key; the rest is only counted."""
+"""Refused messages logged in words for each key; of the rest one every `LOG_EVERY_S`, with the count."""
+LOG_EVERY_S = 60.0
+LOGGED_LETTERS = 300
+MARGIN_BYTES = 1024
+"""Of what a reader takes at most, so much is left for key and encoding."""
+TAPPED = "**"
+"""Stands for all keys of a brain in counts of what a tap dropped."""
 
 
 class Raw(NamedTuple):
@@ -49,19 +60,31 @@ class Publisher(Protocol):
 
 
 class Refusals:
-    """Counts what was refused or dropped, by key; says the first few of each in the log."""
+    """Counts by key what was refused, and what was dropped for want of room; says in the log a few of each."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.counts: Counter[str] = Counter()
+        self.dropped: Counter[str] = Counter()
+        self._clock = clock
+        self._quiet_until_s: dict[tuple[str, str], float] = {}
         self._lock = threading.Lock()
 
     def add(self, path: str, reason: str) -> None:
         """Count one refusal on `path`."""
+        self._add(self.counts, path, "message refused", reason)
+
+    def drop(self, path: str, reason: str) -> None:
+        """Count one message on `path` for which there was no room."""
+        self._add(self.dropped, path, "message dropped", reason)
+
+    def _add(self, counter: Counter[str], path: str, what: str, reason: str) -> None:
         with self._lock:
-            self.counts[path] += 1
-            count = self.counts[path]
-        if count <= LOGGED_REFUSALS:
-            log.warning("message refused", key=path, reason=reason, count=count)
+            counter[path] += 1
+            count, now = counter[path], self._clock()
+            if count > LOGGED_REFUSALS and now < self._quiet_until_s[path, what]:
+                return
+            self._quiet_until_s[path, what] = now + LOG_EVERY_S
+        log.warning(what, key=path, reason=reason[:LOGGED_LETTERS], count=count)
 
 
 class Wake:
@@ -86,39 +109,91 @@ class Wake:
         return True
 
 
+class Waiting:
+    """Samples that have come and were not taken yet, bounded in number and bytes: of too many the oldest go."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._raw: deque[Raw] = deque()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._raw)
+
+    def put(self, raw: Raw) -> int:
+        """Let a sample wait; return how many went for it."""
+        dropped = 0
+        with self._lock:
+            self._raw.append(raw)
+            self._bytes += size_of(raw)
+            while len(self._raw) > self._most or (self._bytes > KEPT_BYTES and len(self._raw) > 1):
+                self._bytes -= size_of(self._raw.popleft())
+                dropped += 1
+        return dropped
+
+    def take(self, most: int = 1) -> list[Raw]:
+        """Take the oldest samples, in order."""
+        with self._lock:
+            taken = [self._raw.popleft() for _ in range(min(most, len(self._raw)))]
+            self._bytes -= sum(map(size_of, taken))
+        return taken
+
+
+def size_of(raw: Raw) -> int:
+    """Return the bytes of a sample with its key and encoding."""
+    return len(raw.payload) + len(raw.key) + len(raw.encoding)
+
+
 class Inbox:
     """What came for one subscription and has not been taken yet; filled from any thread."""
 
     def __init__(self, row: Key, brain: str, refusals: Refusals, wake: Wake) -> None:
         self._row, self._brain, self._refusals, self._wake = row, brain, refusals, wake
         self._latest = row.delivery is Delivery.LATEST
-        self._raw: deque[Raw] = deque(maxlen=LATEST_KEPT if self._latest else RELIABLE_KEPT)
-        self._lock = threading.Lock()
+        self.waiting = Waiting(LATEST_KEPT if self._latest else RELIABLE_KEPT)
+        self.taken = 0
+        """Samples taken so far, refused ones included."""
 
     def put(self, raw: Raw) -> None:
         """Hand over a sample; called by the transport."""
-        if not self._latest and len(self._raw) == RELIABLE_KEPT:
-            self._refusals.add(self._row.path, f"inbox full: {RELIABLE_KEPT} messages wait; oldest dropped")
-        with self._lock:
-            self._raw.append(raw)
+        if (size := size_of(raw)) > self._row.most_bytes:
+            self._refusals.add(self._row.path, f"sample of {size} bytes; at most {self._row.most_bytes} are read")
+            return
+        for _ in range(self.waiting.put(raw)):
+            if not self._latest:
+                self._refusals.drop(self._row.path, "too many messages wait; oldest dropped")
         self._wake.set()
 
     def take(self) -> Any:
-        """Return the next valid message (latest-value keys: the newest, dropping older), or None."""
+        """Return the next valid message (latest-value keys: the newest, dropping older), or None.
+
+        Also None after many that were not valid; `Bus.wait` then returns at once.
+        """
+        refused = 0
         while waiting := self._next():
-            for raw in waiting:
+            self.taken += len(waiting)
+            for raw in reversed(waiting):
                 if (message := self._read(raw)) is not None:
                     return message
+            refused += len(waiting)
+            if refused >= AT_ONCE:
+                self._wake.set()
+                return None
         return None
 
+    def some(self) -> Iterator[Any]:
+        """Yield the valid messages, but of a flood only the first; `Bus.wait` then returns at once."""
+        for _ in range(AT_ONCE):
+            message = self.take()
+            if message is None:
+                return
+            yield message
+        self._wake.set()
+
     def _next(self) -> list[Raw]:
-        """Take the oldest sample, or all of a latest-value key, newest first: what comes now stays."""
-        with self._lock:
-            if not self._latest:
-                return [self._raw.popleft()] if self._raw else []
-            waiting = list(reversed(self._raw))
-            self._raw.clear()
-            return waiting
+        """Take the oldest sample, or all of a latest-value key: what comes now stays."""
+        return self.waiting.take(LATEST_KEPT if self._latest else 1)
 
     def _read(self, raw: Raw) -> Message | None:
         try:
@@ -131,18 +206,39 @@ class Inbox:
 class Tap:
     """Every sample of a brain as it came, undecoded: for recorders."""
 
-    def __init__(self, wake: Wake) -> None:
-        self._raw: deque[Raw] = deque()
-        self._wake = wake
+    def __init__(self, refusals: Refusals, wake: Wake) -> None:
+        self._refusals, self._wake = refusals, wake
+        self.waiting = Waiting(RELIABLE_KEPT)
+        self.taken = 0
 
     def put(self, raw: Raw) -> None:
         """Hand over a sample; called by the transport."""
-        self._raw.append(raw)
+        for _ in range(self.waiting.put(raw)):
+            self._refusals.drop(TAPPED, "too many messages wait; oldest dropped")
         self._wake.set()
 
     def take(self) -> Raw | None:
         """Return the next sample, or None."""
-        return self._raw.popleft() if self._raw else None
+        taken = self.waiting.take()
+        self.taken += len(taken)
+        return taken[0] if taken else None
+
+    def some(self) -> Iterator[Raw]:
+        """Yield the samples, but of a flood only the first; `Bus.wait` then returns at once."""
+        for _ in range(AT_ONCE):
+            raw = self.take()
+            if raw is None:
+                return
+            yield raw
+        self._wake.set()
+
+
+def pack(row: Key, message: Message) -> bytes:
+    """Return the payload of a message on a key; BusError when nobody would read so much."""
+    payload = codec.encode(message)
+    if len(payload) > row.most_bytes - MARGIN_BYTES:
+        raise BusError(f"{row.path}: {len(payload)} bytes; readers take {row.most_bytes - MARGIN_BYTES} at most")
+    return payload
 
 
 def read(row: Key, brain: str, raw: Raw) -> Message:
@@ -170,6 +266,7 @@ class Bus(ABC):
         self.brain = brain
         self.refusals = Refusals()
         self._wake = Wake()
+        self._readers: list[Inbox | Tap] = []
 
     @abstractmethod
     def publisher(self, row: Key, **parameters: str) -> Publisher:
@@ -213,6 +310,24 @@ class Bus(ABC):
     @abstractmethod
     def close(self) -> None:
         """Withdraw everything this bus declared. May be called twice."""
+
+    def taken(self) -> int:
+        """Return how many messages were taken so far."""
+        return sum(reader.taken for reader in self._readers)
+
+    def queued(self) -> int:
+        """Return how many messages wait to be taken."""
+        return sum(len(reader.waiting) for reader in self._readers)
+
+    def _new_inbox(self, row: Key) -> Inbox:
+        inbox = Inbox(row, self.brain, self.refusals, self._wake)
+        self._readers.append(inbox)
+        return inbox
+
+    def _new_tap(self) -> Tap:
+        tap = Tap(self.refusals, self._wake)
+        self._readers.append(tap)
+        return tap
 
     def serve(self) -> None:  # noqa: B027 - a transport that answers at once has nothing to do here
         """Answer the queries that have come; called by the service's own loop."""

@@ -21,6 +21,10 @@ VERSION = 1
 """Protocol version; a reader refuses any other."""
 MAX_BYTES = 16 * 2**20
 """Largest payload that is decoded, in bytes."""
+MAX_ITEMS = 10_000
+"""Most items of one list or map."""
+MAX_VALUES = 1_000_000
+"""Most items of all lists and maps of a payload together: a small payload can stand for a lot of memory."""
 ARRAY_EXT = 1
 """MessagePack extension type of an array: [dtype, shape, raw little-endian bytes]."""
 DTYPES = ("<f4", "<f8", "<i2", "<i8", "|u1")
@@ -46,10 +50,31 @@ def decode(message_type: type[M], payload: bytes, encoding: str) -> M:
     if len(payload) > MAX_BYTES:
         raise DecodeError(f"payload has {len(payload)} bytes; at most {MAX_BYTES} are accepted")
     try:
-        plain = msgpack.unpackb(payload, ext_hook=_ext_hook, strict_map_key=True)
+        plain = _unpack(payload)
         return msgspec.convert(plain, message_type, dec_hook=_dec_hook)
     except (msgspec.ValidationError, msgpack.UnpackException, ValueError, TypeError, RecursionError) as error:
         raise DecodeError(f"not a valid {message_type.__name__}: {error}") from error
+
+
+def _unpack(payload: bytes) -> Any:
+    left = MAX_VALUES
+
+    def count(items: Any) -> Any:
+        nonlocal left
+        left -= len(items)
+        if left < 0:
+            raise ValueError(f"more than {MAX_VALUES} values")
+        return items
+
+    return msgpack.unpackb(
+        payload,
+        ext_hook=_ext_hook,
+        list_hook=count,
+        object_hook=count,
+        strict_map_key=True,
+        max_array_len=MAX_ITEMS,
+        max_map_len=MAX_ITEMS,
+    )
 
 
 def to_plain(message: Message) -> dict[str, Any]:
@@ -75,7 +100,7 @@ def _to_plain(value: Any) -> Any:
 def _ext_hook(code: int, data: bytes) -> Any:
     if code != ARRAY_EXT:
         raise ValueError(f"extension type {code} is unknown; expected {ARRAY_EXT}, an array")
-    parts = msgpack.unpackb(data)
+    parts = msgpack.unpackb(data, max_array_len=4, max_map_len=0)
     if not (isinstance(parts, list) and len(parts) == 3):
         raise ValueError("an array is [dtype, shape, bytes]")
     dtype, shape, raw = parts

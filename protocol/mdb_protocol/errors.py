@@ -13,6 +13,10 @@ class DecodeError(MdbError):
     """Bytes on a key that are not the message this key carries."""
 
 
+class DamageError(MdbError):
+    """A file that is not, or no longer, what it should be."""
+
+
 class BusError(MdbError):
     """The bus cannot do what was asked: no router, a port in use, a closed session."""
 

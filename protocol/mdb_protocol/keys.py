@@ -10,12 +10,16 @@ from dataclasses import dataclass
 from enum import Enum
 
 from mdb_protocol import messages as m
+from mdb_protocol.codec import MAX_BYTES
 from mdb_protocol.errors import MdbError
 from mdb_protocol.messages import Message
 
 ROOT = "mdb"
 PARAMETER = re.compile(r"{(\w+)}")
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+SMALL = 2**16
+"""Bytes of a message of a few numbers and names, at most."""
+MODEL_BYTES = 2**22
 
 
 class Delivery(Enum):
@@ -44,6 +48,8 @@ class Key:
     """Of a key with history: how many of its last samples a late joiner gets."""
     recorded: bool = True
     """Whether it belongs in a run's log."""
+    most_bytes: int = SMALL
+    """Largest sample; a larger one is not read."""
     teachers_read: bool = False
     """Whether a teacher may read it; where the key names a teacher, only under that name (see `roles`)."""
 
@@ -99,16 +105,21 @@ AUDIO = Key(
     "teacher/{teacher}/audio",
     m.AudioFrame,
     "that teacher",
-    Delivery.RELIABLE,
+    Delivery.LATCHED,
     "sound, in which notes are to be heard",
+    most_bytes=2 * SMALL,
+    late_joiner="the last 32",
+    history=32,
 )
 HEARD = Key(
     "heard/{teacher}",
     m.Command,
     "ear",
-    Delivery.RELIABLE,
+    Delivery.LATCHED,
     "the note heard in a teacher's sound, or silence",
     teachers_read=True,
+    late_joiner="the last 32",
+    history=32,
 )
 PHASE = Key("phase", m.Phase, "scripted teacher", Delivery.LATCHED, "the phase of the experiment", teachers_read=True)
 PAIR = Key(
@@ -128,6 +139,7 @@ MEMORY_CHANGE = Key(
     Delivery.RELIABLE,
     "one step of a model's short-term memory: an insert, or the beginning of a context",
     late_joiner="asks memory/{model}/snapshot",
+    most_bytes=MAX_BYTES,
 )
 MEMORY_SNAPSHOT = Key(
     "memory/{model}/snapshot",
@@ -135,6 +147,7 @@ MEMORY_SNAPSHOT = Key(
     "memory store",
     Delivery.QUERY,
     "a model's whole short-term memory",
+    most_bytes=MAX_BYTES,
     repeatable=False,
 )
 CONTEXT = Key(
@@ -152,6 +165,7 @@ CURRENT_MODEL = Key(
     Delivery.LATCHED,
     "the current model",
     late_joiner="the last; when the evolver is dead, from memory/{model}/model",
+    most_bytes=MODEL_BYTES,
 )
 KEPT_MODEL = Key(
     "memory/{model}/model",
@@ -159,6 +173,7 @@ KEPT_MODEL = Key(
     "memory store",
     Delivery.QUERY,
     "the last current model, kept on disk",
+    most_bytes=MODEL_BYTES,
     repeatable=False,
 )
 CHECKPOINT = Key(
@@ -167,6 +182,7 @@ CHECKPOINT = Key(
     "that evolver",
     Delivery.LATEST,
     "the whole state of an evolver, now and then",
+    most_bytes=MAX_BYTES,
     repeatable=False,
     recorded=False,
 )
@@ -176,6 +192,7 @@ RESUME = Key(
     "memory store",
     Delivery.QUERY,
     "an evolver's last checkpoint and the changes since",
+    most_bytes=MAX_BYTES,
     repeatable=False,
 )
 PROGRESS = Key(
@@ -184,6 +201,7 @@ PROGRESS = Key(
     "memory store",
     Delivery.QUERY,
     "how far the pairs go, for an optimizer that begins",
+    most_bytes=MAX_BYTES,
     repeatable=False,
 )
 ITERATION = Key(

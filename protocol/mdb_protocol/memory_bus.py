@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mdb_protocol import codec
-from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, read
+from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError
 from mdb_protocol.keys import ALIVE, Delivery, Key
 from mdb_protocol.messages import Message
@@ -75,7 +75,7 @@ class _Publisher:
 
     def put(self, message: Message) -> None:
         self._bus.check_open()
-        self._bus.fabric.put(self._bus, self._row, Raw(self._key, codec.encode(message), self._encoding))
+        self._bus.fabric.put(self._bus, self._row, Raw(self._key, pack(self._row, message), self._encoding))
 
 
 class MemoryBus(Bus):
@@ -95,7 +95,7 @@ class MemoryBus(Bus):
     def subscriber(self, row: Key, **parameters: str) -> Inbox:
         """See `Bus.subscriber`."""
         row.at(self.brain, **parameters)
-        inbox = Inbox(row, self.brain, self.refusals, self._wake)
+        inbox = self._new_inbox(row)
         subscription = _Subscription(self, row, parameters, inbox)
         with self.fabric.lock:
             self.fabric.subscriptions.append(subscription)
@@ -106,9 +106,17 @@ class MemoryBus(Bus):
                         inbox.put(raw)
         return inbox
 
+    def feed(self, raw: Raw) -> bool:
+        """Hand a sample to this bus alone, as if somebody had put it; return whether it reads that key."""
+        with self.fabric.lock:
+            inboxes = [s.inbox for s in self.fabric.subscriptions if s.owner is self and s.wants(raw.key)]
+        for inbox in inboxes:
+            inbox.put(raw)
+        return bool(inboxes)
+
     def tap(self) -> Tap:
         """See `Bus.tap`."""
-        tap = Tap(self._wake)
+        tap = self._new_tap()
         with self.fabric.lock:
             self.fabric.taps.append((self, tap))
             for owner, kept in self.fabric.last.values():

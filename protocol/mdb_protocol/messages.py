@@ -21,8 +21,9 @@ Index = Annotated[int, Meta(ge=0, le=2**31)]
 Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.-]+\Z")]
 Text = Annotated[str, Meta(max_length=4096)]
 Event = Literal["none", "capture", "bump", "lost", "timeout"]
-Reading = dict[Name, float]
-Versions = dict[Name, Count]
+Reading = Annotated[dict[Name, float], Meta(max_length=256)]
+Versions = Annotated[dict[Name, Count], Meta(max_length=256)]
+Judges = Annotated[list[Name], Meta(max_length=256)]
 Layers = Annotated[list[Annotated[int, Meta(ge=0, le=4096)]], Meta(min_length=2, max_length=8)]
 Seeds = Annotated[list["ModelWeights"], Meta(max_length=100)]
 
@@ -41,6 +42,12 @@ def check_finite(what: str, values: Mapping[str, float] | float | None) -> None:
     for name, value in items:
         if not math.isfinite(value) or abs(value) > VALUE_BOUND:
             raise ValueError(f"{what}: {name} is {value!r}; expected a finite number within ±{VALUE_BOUND:g}")
+
+
+def check_stamp(stamp: float) -> None:
+    """Raise ValueError when a time in seconds is not finite: nothing would ever be too late for it."""
+    if not math.isfinite(stamp):
+        raise ValueError(f"stamp is {stamp!r}; expected a finite number of seconds")
 
 
 def check_array(what: str, array: np.ndarray, kind: str, ndim: int) -> None:
@@ -114,6 +121,9 @@ class Action(Message, frozen=True, kw_only=True):
     stamp: float = 0.0
     intention: Intention | None = None
 
+    def __post_init__(self) -> None:
+        check_stamp(self.stamp)
+
 
 class Perception(Message, frozen=True, kw_only=True):
     """What the robot sensed after its `iteration`-th action (0: none yet), which was `done`.
@@ -133,6 +143,7 @@ class Perception(Message, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         check_finite("outcome", self.outcome)
         check_finite("reading", self.reading)
+        check_stamp(self.stamp)
 
 
 class Scene(Message, frozen=True, kw_only=True):
@@ -215,7 +226,7 @@ class Pair(Message, frozen=True, kw_only=True):
     feedback: Annotated[float, Meta(ge=-1, le=1)] | None
     versions: Versions
     teacher: Name | None = None
-    judges: list[Name] = []
+    judges: Judges = []
 
     def __post_init__(self) -> None:
         check_finite("before", self.before)
@@ -436,7 +447,7 @@ class IterationReport(Message, frozen=True, kw_only=True):
     versions: Versions
     teacher: Name | None = None
     """Who was obeyed or is to be: whose note it was."""
-    judges: list[Name] = []
+    judges: Judges = []
     holder: Name | None = None
     """Who holds the word, when only one teacher may; a teacher who reads another name is not heard."""
 
@@ -465,7 +476,12 @@ class Finished(Message, frozen=True, kw_only=True):
 
 
 class Status(Message, frozen=True, kw_only=True):
-    """A service's answer to "how are you?"; `values` holds its own figures."""
+    """A service's answer to "how are you?"; `values` holds its own figures.
+
+    `refused` counts by key what could not be read or used, `dropped` what there was no room for; `rate_hz` are the
+    messages that it took a second of late, `queued` those that wait now, `memory_bytes` what it has in memory (0: the
+    system does not say). A value `behind`, or `behind.NAME`, is how many versions of a memory or model it lags.
+    """
 
     role: Name
     instance: Name
@@ -473,3 +489,7 @@ class Status(Message, frozen=True, kw_only=True):
     uptime_s: float
     values: dict[str, float]
     refused: dict[str, Count]
+    dropped: dict[str, Count] = {}
+    rate_hz: float = 0.0
+    queued: Count = 0
+    memory_bytes: Count = 0

@@ -22,17 +22,24 @@ from zenoh.handlers import Callback
 
 from mdb_protocol import codec, endpoints
 from mdb_protocol.bundle import Bundle, why_refused
-from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, read
+from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError
 from mdb_protocol.keys import ALIVE, ROOT, Delivery, Key
 from mdb_protocol.messages import Message
 
 RELIABLE_CACHE = 256
 """Samples a reliable publisher keeps for readers that missed some."""
-HEARTBEAT_S = 0.5
-"""How often a reliable publisher that sent something says how far it is, so a lost last sample is noticed."""
+HEARTBEAT_S = 0.25
+"""How often a reliable publisher says how far it is, so that a lost last sample is noticed.
+
+Always, not only when it has sent something since: said while the router is dead, nobody would hear it.
+"""
+ASKED_KEPT = 1000
+"""Queries that wait to be answered; who asks then gets no answer."""
 LEASE_MS = 2000
 """A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
+RETRY_MS = 50
+"""A client that has lost its router tries again after this; the waits grow to four times as long."""
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 
@@ -79,22 +86,22 @@ class ZenohBus(Bus):
             congestion_control=zenoh.CongestionControl.DROP if drops else zenoh.CongestionControl.BLOCK,
             express=True,
             cache=ext.CacheConfig(1 if row.delivery is Delivery.LATEST else RELIABLE_CACHE),
-            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
+            sample_miss_detection=_heartbeat(row),
             publisher_detection=True,
         )
         self._declared.append(publisher)
-        return _Publisher(publisher)
+        return _Publisher(row, publisher)
 
     def subscriber(self, row: Key, **parameters: str) -> Inbox:
         """See `Bus.subscriber`."""
-        inbox = Inbox(row, self.brain, self.refusals, self._wake)
+        inbox = self._new_inbox(row)
         keeps_last = row.delivery in (Delivery.LATEST, Delivery.LATCHED)
         self._subscribe(row.at(self.brain, **parameters), inbox.put, row.history if keeps_last else 0)
         return inbox
 
     def tap(self) -> Tap:
         """See `Bus.tap`."""
-        tap = Tap(self._wake)
+        tap = self._new_tap()
         self._subscribe(f"{ROOT}/{self.brain}/**", tap.put, RELIABLE_CACHE)
         return tap
 
@@ -118,6 +125,10 @@ class ZenohBus(Bus):
         """See `Bus.queryable`; the handler runs in `serve`, on the service's own thread."""
 
         def hand_over(query: zenoh.Query) -> None:
+            if self._asked.qsize() >= ASKED_KEPT:
+                self.refusals.drop(row.path, f"{ASKED_KEPT} queries wait; one more is not answered")
+                query.drop()  # type: ignore[no-untyped-call]
+                return
             self._asked.put((row, handler, query))
             self._wake.set()
 
@@ -127,7 +138,7 @@ class ZenohBus(Bus):
 
     def serve(self) -> None:
         """See `Bus.serve`."""
-        while not self._asked.empty():
+        for _ in range(self._asked.qsize()):
             row, handler, query = self._asked.get_nowait()
             with query, suppress(zenoh.ZError):
                 try:
@@ -164,6 +175,10 @@ class ZenohBus(Bus):
             except DecodeError as error:
                 self.refusals.add(row.path, str(error))
         return answers
+
+    def connected(self) -> bool:
+        """Whether there is a router at the other end now; a session that has lost it comes back by itself."""
+        return bool(self._session.info.routers_zid())
 
     def token(self, role: str, instance: str) -> None:
         """See `Bus.token`."""
@@ -221,13 +236,20 @@ class ZenohBus(Bus):
         self._session.close()  # type: ignore[no-untyped-call]
 
 
+def _heartbeat(row: Key) -> ext.MissDetectionConfig:
+    """Return how readers notice that they miss the last sample; of a latest value the next one is as good."""
+    if row.delivery is Delivery.LATEST:
+        return ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S)
+    return ext.MissDetectionConfig(heartbeat=HEARTBEAT_S, sporadic_heartbeat=None)
+
+
 class _Publisher:
-    def __init__(self, publisher: ext.AdvancedPublisher) -> None:
-        self._publisher = publisher
+    def __init__(self, row: Key, publisher: ext.AdvancedPublisher) -> None:
+        self._row, self._publisher = row, publisher
 
     def put(self, message: Message) -> None:
         try:
-            self._publisher.put(codec.encode(message))
+            self._publisher.put(pack(self._row, message))
         except zenoh.ZError as error:
             raise BusError(f"cannot publish on {self._publisher.key_expr}: {error}") from error
 
@@ -251,17 +273,18 @@ def _open_client(connect: str, bundle: Bundle | None, timeout_s: float) -> zenoh
                     "timeout_ms": 1000,
                     "exit_on_failure": True,
                     "retry": {
-                        "period_init_ms": 100,
-                        "period_max_ms": 500,
+                        "period_init_ms": RETRY_MS,
+                        "period_max_ms": 4 * RETRY_MS,
                         "period_increase_factor": 1.5,
                     },
                 },
                 "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
                 "transport": {
+                    "shared_memory": {"enabled": False},  # 20 MB for each process that says something large
                     "link": {
                         "tx": {"lease": LEASE_MS},
                         "tls": {} if bundle is None else bundle.client_tls(),
-                    }
+                    },
                 },
             }
         )

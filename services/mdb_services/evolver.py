@@ -172,12 +172,12 @@ class Evolver:
     def _follow(self, change: messages.MemoryChange) -> None:
         if change.version <= self._mirror.version:
             return
-        self._recall(change.seeds)
         try:
             slots, ids, evicted, freed = (
                 tuple(array.tolist()) for array in (change.slots, change.pairs, change.evicted, change.freed)
             )
             self._mirror.apply(Change(change.version, slots, ids, evicted, freed), change.inputs, change.targets)
+            self._recall(change.seeds)
         except VersionGapError:
             log.info("missed a change; asking for the whole memory", model=self.instance, version=change.version)
             self._joined = False

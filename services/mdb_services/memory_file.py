@@ -6,14 +6,14 @@ Owns `memory.sqlite` of a run (SQLite, write-ahead log). Decides nothing: `model
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from mdb_protocol import codec, messages
-from mdb_protocol.errors import DecodeError, MdbError
+from mdb_protocol.errors import DamageError, DecodeError, MdbError
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS pair (
@@ -39,6 +39,10 @@ CREATE TABLE IF NOT EXISTS long_term (
 ) WITHOUT ROWID;
 """
 
+PAGE = 4096
+"""Bytes of SQLite's pages, unless it is told otherwise."""
+DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
+"""What SQLite says of a file that is damaged, or is another database; the rest is the disk or the system."""
 STEPS_KEPT = 1000
 """Changes of a memory that are kept for an evolver that makes no checkpoint."""
 
@@ -80,19 +84,37 @@ class MemoryFile:
     """See the module's docstring."""
 
     def __init__(self, path: Path, *, power_safe: bool = False) -> None:
-        """Open or create; MdbError when the file is not a usable database.
+        """Open or create; DamageError when the file cannot be used, as far as SQLite can tell.
 
         What was written survives the death of this process; with `power_safe` (SQLite's synchronous mode FULL instead
         of NORMAL) also a loss of power, for a disk's round trip a pair.
         """
         self._path = path
+        self._check_length()
         try:
             self._db = sqlite3.connect(path, isolation_level=None)
+            (found,) = self._db.execute("PRAGMA quick_check(1)").fetchone()
+            if found != "ok":
+                raise self.unusable(str(found).replace("\n", " "))
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute(f"PRAGMA synchronous={'FULL' if power_safe else 'NORMAL'}")
             self._db.executescript(SCHEMA)
         except sqlite3.Error as error:
-            raise self.unusable(error) from error
+            if error.sqlite_errorcode & 0xFF in DAMAGE:
+                raise self.unusable(error) from error
+            raise MdbError(
+                f"{path} cannot be opened: {error}. Is the disk full, or the folder not yours? If it is in the way, "
+                "move it away to start with an empty memory"
+            ) from error
+
+    def _check_length(self) -> None:
+        """Raise DamageError for what SQLite mends in silence: a log beside an empty file is removed, a page filled up."""
+        log = self._path.with_name(f"{self._path.name}-wal")
+        bytes_, logged = (path.stat().st_size if path.is_file() else 0 for path in (self._path, log))
+        if logged and not bytes_:
+            raise self.unusable("it is empty, but its write-ahead log is not")
+        if bytes_ % PAGE and not logged:
+            raise self.unusable(f"it ends within a page, after {bytes_} bytes")
 
     def __enter__(self) -> Self:
         return self
@@ -100,12 +122,20 @@ class MemoryFile:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def unusable(self, error: Exception) -> MdbError:
+    def unusable(self, reason: object) -> DamageError:
         """Return the error that says what is wrong with the file and what to do."""
-        return MdbError(
-            f"{self._path} cannot be used as the memory's database: {error}. Move it away to start with an empty "
-            "memory, or give another run folder"
+        return DamageError(
+            f"{self._path} cannot be used as the memory's database: {reason}. 'mdb rescue {self._path.parent} --out "
+            "NEW' makes a run with all that can be read; or move it away to start with an empty memory"
         )
+
+    def take_rows(self, tables: Mapping[str, list[tuple[Any, ...]]]) -> None:
+        """Take rows of short-term memories that were read of another file, by table."""
+        with self._transaction():
+            for table, rows in tables.items():
+                if rows:
+                    places = ", ".join("?" * len(rows[0]))
+                    self._db.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({places})", rows)
 
     def add(self, pair: messages.Pair, stored: messages.PairStored, effects: Iterable[Effects]) -> None:
         """Write a pair with its acknowledgement and all that it did, in one transaction.

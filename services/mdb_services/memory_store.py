@@ -10,7 +10,7 @@ from __future__ import annotations
 import sqlite3
 import time
 from collections.abc import Callable
-from itertools import count
+from itertools import chain, count
 
 import numpy as np
 import structlog
@@ -50,7 +50,6 @@ class MemoryStore:
         self._retry_s = 0.0
         """When to write again after the disk took nothing; 0 while it does."""
         self._unwritten = 0
-        self._after_late_feedback: dict[str, int] = {}
         self._waiting_since_s = 0.0
         self._gave_up = 0
         self._restore()
@@ -100,15 +99,17 @@ class MemoryStore:
     def step(self) -> bool:
         """Take the newest models, then every pair that has come."""
         moved = False
-        while (model := self._models.take()) is not None:
+        for model in self._models.some():
             moved = True
             if model.model in self._memories and self._remember(model):
                 self._written(lambda model=model: self._file.keep_model(model))  # type: ignore[misc]
         for inbox in self._checkpoints:
-            while (checkpoint := inbox.take()) is not None:
+            for checkpoint in inbox.some():
                 moved = True
                 self._written(lambda checkpoint=checkpoint: self._keep(checkpoint))  # type: ignore[misc]
-        while (pair := self._waiting or self._pairs.take()) is not None:
+        for pair in chain([] if self._waiting is None else [self._waiting], self._pairs.some()):
+            if not self._could_be(pair):
+                continue
             if not self._is_due(pair):
                 break
             if not self._written(lambda pair=pair: self._store(pair)):  # type: ignore[misc]
@@ -117,6 +118,17 @@ class MemoryStore:
             self._waiting = None
             moved = True
         return moved
+
+    def _could_be(self, pair: messages.Pair) -> bool:
+        """Whether this brain could have made a pair; what is not of this experiment is refused."""
+        iterations, actions = self._config.experiment.iterations, self._config.optimizer.actions
+        if pair.iteration < iterations and pair.action < actions:
+            return True
+        reason = (
+            f"pair {pair.iteration} with action {pair.action}; there are {iterations} iterations, {actions} actions"
+        )
+        self.bus.refusals.add(keys.PAIR.path, reason)
+        return False
 
     def _written(self, write: Callable[[], None]) -> bool:
         """Write, unless the disk takes nothing: then say so once, and try again only after a while.
@@ -176,14 +188,18 @@ class MemoryStore:
         return True
 
     def _has_models_of(self, pair: messages.Pair) -> bool:
-        """Whether the models that the optimizer acted upon have come (lockstep: same errors every run).
+        """Whether the models that a pair is to be held against have come (lockstep: same errors every run).
 
-        A late feedback has changed memories since: its models are awaited, too.
+        They are those that the optimizer acted upon, which had learnt all that was stored. When feedback comes late,
+        other pairs have been stored since: then they are those that have learnt these, too.
         """
         if not self._lockstep:
             return True
         have = {name: model.version for name, model in self._kept.items()}
-        awaited = {**pair.versions, **self._after_late_feedback}
+        stored = self._file.stored(pair.iteration)
+        late = stored is not None and not stored.judged and pair.feedback is not None
+        now = {name: memory.stm.version for name, memory in self._memories.items()}
+        awaited = now if late else pair.versions
         return all(have.get(name, 0) >= version for name, version in awaited.items() if name in self._memories)
 
     def _remember(self, model: messages.CurrentModel) -> bool:
@@ -220,8 +236,6 @@ class MemoryStore:
             for event in effect.events:
                 self._contexts[event.model].put(event)
         self._stored.put(stored)
-        if unjudged is not None:
-            self._after_late_feedback = stored.versions
 
     def _enter(
         self, pair: messages.Pair, unjudged: messages.Pair | None
@@ -237,10 +251,14 @@ class MemoryStore:
         return effects, stored
 
     def values(self) -> dict[str, float]:
-        """Pairs on disk, duplicates, waits given up, whether the disk refuses to write, and each model's memories."""
+        """Pairs on disk, duplicates, waits given up, whether the disk refuses to write, each model's memories and how
+        many versions it is behind its memory."""
         counts = {"duplicates": float(self._duplicates), "gave_up.models": float(self._gave_up)}
         counts |= {"unwritten": float(self._unwritten), "disk_refuses": float(self._retry_s > 0)}
         memories = [memory.values() for memory in self._memories.values()]
+        have = {name: model.version for name, model in self._kept.items()}
+        for name, memory in self._memories.items():
+            counts[f"behind.{name}"] = float(max(memory.stm.version - have.get(name, 0), 0))
         return {"pairs": float(self._file.count()), **counts, **{k: v for m in memories for k, v in m.items()}}
 
     def close(self) -> None:

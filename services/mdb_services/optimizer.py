@@ -207,10 +207,9 @@ class Optimizer:
         """
         now, cycle = self._clock(), self._cycle
         due = self._next if cycle is None or cycle.choice is None else self._next + 1
-        far = perception.iteration > (self._experiment.iterations if cycle is None else due + 1)
-        if far and not (
-            perception.iteration <= self._experiment.iterations and self._elsewhere.believed(perception.iteration, now)
-        ):
+        most = max(self._experiment.iterations, self._next)
+        far = perception.iteration > (most if cycle is None else due + 1)
+        if far and not (perception.iteration <= most and self._elsewhere.believed(perception.iteration, now)):
             self._refuse(keys.PERCEPTION, "perception", perception.iteration)
             return
         self._elsewhere.nearer()
@@ -453,10 +452,13 @@ class Optimizer:
         return True
 
     def values(self) -> dict[str, float]:
-        """Iteration, pairs not acknowledged yet, pairs lost for want of a store, and waits given up."""
+        """Iteration, pairs not acknowledged yet, pairs lost for want of a store, waits given up, versions behind."""
         gave_up = {f"gave_up.{what}": float(count) for what, count in self._gave_up.items()}
         waiting = float(len(self._unacknowledged))
-        return {"iteration": float(self._next), "unacknowledged": waiting, "lost": float(self._lost), **gave_up}
+        counts = {"iteration": float(self._next), "unacknowledged": waiting, "lost": float(self._lost)}
+        have = self._models.versions
+        behind = {f"behind.{name}": float(max(v - have.get(name, 0), 0)) for name, v in self._required.items()}
+        return counts | gave_up | behind
 
     def close(self) -> None:
         """Nothing to free."""

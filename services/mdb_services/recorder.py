@@ -1,4 +1,4 @@
-"""The recorder: every message of a run into its run folder, as it came. Only listens.
+"""The recorder: every message of a run into its run folder, as it came; what is none is counted. Only listens.
 
 Owns `run.mcap`, with the resolved experiment and all versions in its metadata. It is written without chunks
 and flushed as it goes, so that what was recorded can be read after a kill. `read_log` is the other half: the
@@ -22,7 +22,7 @@ from mcap.reader import NonSeekingReader
 from mcap.writer import Writer
 
 from mdb_protocol import keys
-from mdb_protocol.bus import Bus, Raw, read
+from mdb_protocol.bus import TAPPED, Bus, Raw, read
 from mdb_protocol.codec import VERSION
 from mdb_protocol.errors import DecodeError, MdbError
 from mdb_protocol.keys import Key
@@ -34,6 +34,8 @@ log = structlog.get_logger()
 ROLE = "recorder"
 PACKAGES = ("multilevel-darwinist-brain", "eclipse-zenoh", "numpy", "numba", "msgpack", "msgspec", "mcap", "pybullet")
 LOG_PATTERN = "run*.mcap"
+RETRY_S = 1.0
+"""How often a disk that takes nothing is tried again."""
 MAX_CHANNELS = 60_000
 """Pairs of key and encoding in one segment, whose format has room for 65535; then the next segment begins."""
 DAMAGE = (McapError, EOFError, struct.error, ValueError, LookupError, OverflowError, MemoryError)
@@ -54,60 +56,102 @@ class Recorder:
 
     role, instance = ROLE, "log"
 
-    def __init__(self, bus: Bus, run: Path) -> None:
+    def __init__(self, bus: Bus, run: Path, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin the next segment of the run's log; a restarted recorder never writes into an old one."""
         self.bus = bus
-        self._run = run
-        self._count = self._bytes = 0
-        self._lost, self._broken = 0, False
-        self._begin()
+        self._run, self._clock = run, clock
+        self._count = self._bytes = self._lost = 0
+        self._unflushed = 0
+        self._file: IO[bytes] | None = None
+        self._retry_s = 0.0
+        """When to write again after the disk took nothing; 0 while it does."""
+        self._try(self._flush)
         self._tap = bus.tap()
 
     def _begin(self) -> None:
-        self._file: IO[bytes] = next_segment(self._run).open("xb")
-        self._writer = Writer(self._file, use_chunking=False)
-        self._writer.start(profile="mdb", library=f"mdb protocol {VERSION}")
-        self._writer.add_metadata("versions", versions())
-        experiment = self._run / EXPERIMENT_FILE
-        if experiment.exists():
-            text = experiment.read_text(encoding="utf-8")
-            self._writer.add_metadata("experiment", {EXPERIMENT_FILE: text})
+        """Begin a segment; OSError when the disk does not take its head, and then there is none."""
+        path = next_segment(self._run)
+        self._file = path.open("xb")
+        try:
+            self._writer = Writer(self._file, use_chunking=False)
+            self._writer.start(profile="mdb", library=f"mdb protocol {VERSION}")
+            self._writer.add_metadata("versions", versions())
+            experiment = self._run / EXPERIMENT_FILE
+            if experiment.exists():
+                text = experiment.read_text(encoding="utf-8")
+                self._writer.add_metadata("experiment", {EXPERIMENT_FILE: text})
+            self._file.flush()
+        except OSError:
+            path.unlink()
+            raise
         self._channels: dict[tuple[str, str], int] = {}
 
     def _end(self) -> None:
+        assert self._file is not None
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
 
     def step(self) -> bool:
-        """Write everything that has come."""
+        """Write what has come."""
         moved = False
-        while (raw := self._tap.take()) is not None:
-            self._try(lambda raw=raw: self._write(raw))  # type: ignore[misc]
+        for raw in self._tap.some():
+            if self._belongs(raw):
+                self._try(lambda raw=raw: self._write(raw))  # type: ignore[misc]
             moved = True
-        if moved:  # a kill then costs what has not come to this process yet, and nothing more
-            self._try(self._file.flush)
+        if self._unflushed:  # a kill then costs what has not come to this process yet, and nothing more
+            self._try(self._flush)
         return moved
 
-    def _try(self, write: Callable[[], None]) -> None:
-        """Write, unless the disk takes nothing: what is lost is counted, and said once; then a new segment begins."""
+    def _belongs(self, raw: Raw) -> bool:
+        """Whether a sample belongs in the log; junk, which would fill the disk, does not."""
+        row = keys.find(self.bus.brain, raw.key)
+        if row is None:
+            self.bus.refusals.add(TAPPED, f"sample on {raw.key[:200]!r}, which is none of the brain's keys")
+            return False
         try:
-            if self._broken:
+            if row.recorded:
+                read(row, self.bus.brain, raw)
+        except DecodeError as error:
+            self.bus.refusals.add(row.path, str(error))
+            return False
+        return row.recorded
+
+    def _try(self, write: Callable[[], None]) -> None:
+        """Write, unless the disk takes nothing: then say so once, count what is lost, later begin a new segment."""
+        if self._clock() < self._retry_s:
+            self._lost += 1
+            return
+        try:
+            if self._file is None:
                 self._begin()
-                self._broken = False
-                log.info("recording again", lost=self._lost)
             write()
         except OSError as error:
-            if not self._lost:
+            if not self._retry_s:
                 log.error("cannot write the run log; what comes meanwhile is lost to it", reason=str(error))
-            self._lost += 1
-            self._broken = True
+            self._lost += max(self._unflushed, 1)
+            self._count -= self._unflushed
+            self._unflushed = 0
+            self._retry_s = self._clock() + RETRY_S
+            self._leave()
+            return
+        if self._retry_s:
+            log.info("recording again", lost=self._lost)
+            self._retry_s = 0.0
+
+    def _leave(self) -> None:
+        """Leave a segment as it is."""
+        if self._file is not None:
+            with suppress(OSError):  # it tries once more to write what it has
+                self._file.close()
+        self._file = None
+
+    def _flush(self) -> None:
+        assert self._file is not None
+        self._file.flush()
+        self._unflushed = 0
 
     def _write(self, raw: Raw) -> None:
-        channel = self._channels.get((raw.key, raw.encoding))
-        if channel is None:
-            row = keys.find(self.bus.brain, raw.key)
-            if row is not None and not row.recorded:
-                return
+        if (raw.key, raw.encoding) not in self._channels:
             if len(self._channels) == MAX_CHANNELS:
                 self._end()
                 self._begin()
@@ -116,18 +160,22 @@ class Recorder:
             channel = self._writer.register_channel(raw.key, "msgpack", schema, metadata)
             self._channels[raw.key, raw.encoding] = channel
         now = time.time_ns()
+        self._unflushed += 1
+        channel = self._channels[raw.key, raw.encoding]
         self._writer.add_message(channel, now, raw.payload, now, sequence=self._count)
         self._count += 1
         self._bytes += len(raw.payload)
 
     def values(self) -> dict[str, float]:
-        """Messages and payload bytes written, and messages that the disk did not take."""
-        return {"messages": float(self._count), "bytes": float(self._bytes), "lost": float(self._lost)}
+        """Messages and payload bytes written, messages that the disk did not take, and whether it takes none now."""
+        counts = {"messages": float(self._count), "bytes": float(self._bytes), "lost": float(self._lost)}
+        return counts | {"disk_refuses": float(self._retry_s > 0)}
 
     def close(self) -> None:
         """Write what is still there and finish the file."""
-        self.step()
-        if not self._broken:
+        while self.step():
+            pass
+        if self._file is not None:
             self._try(self._end)
 
 

@@ -10,8 +10,10 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from types import FrameType
 from typing import Protocol
 
@@ -25,6 +27,8 @@ log = structlog.get_logger()
 
 WAIT_S = 0.1
 """Longest sleep of the loop: how late a stop or a timeout may be noticed."""
+METER_TICK_S = 1.0
+METER_MARKS = 5
 FAILURES_IN_A_ROW = 5
 """A step that fails this often one after the other ends the process: its supervisor starts it afresh."""
 
@@ -66,9 +70,41 @@ class Stopper:
         return self._told or (self._parent is not None and os.getppid() != self._parent)
 
 
-def announce(service: Service) -> None:
-    """Answer status queries and declare the liveliness token, last: it means ready."""
+class Meter:
+    """Things a second over the last few seconds, from a count that only grows."""
+
+    def __init__(self, count: Callable[[], int], clock: Callable[[], float] = time.monotonic) -> None:
+        self._count, self._clock = count, clock
+        self._marks = deque([(clock(), count())], maxlen=METER_MARKS)
+
+    def tick(self) -> None:
+        """Look at the count; to be called now and then."""
+        now = self._clock()
+        if now - self._marks[-1][0] >= METER_TICK_S:
+            self._marks.append((now, self._count()))
+
+    def rate_hz(self) -> float:
+        """Return how much the count has grown a second."""
+        began, first = self._marks[0]
+        passed_s = self._clock() - began
+        return (self._count() - first) / passed_s if passed_s > 0 else 0.0
+
+
+def memory_bytes() -> int:
+    """Return what this process has in memory; 0 where the system does not say."""
+    try:
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0
+
+
+def announce(service: Service) -> Meter:
+    """Answer status queries and declare the liveliness token, last: it means ready.
+
+    The meter that is returned wants to be ticked.
+    """
     started = time.monotonic()
+    meter = Meter(service.bus.taken)
 
     def status() -> Status:
         return Status(
@@ -78,10 +114,15 @@ def announce(service: Service) -> None:
             uptime_s=time.monotonic() - started,
             values=service.values(),
             refused=dict(service.bus.refusals.counts),
+            dropped=dict(service.bus.refusals.dropped),
+            rate_hz=meter.rate_hz(),
+            queued=service.bus.queued(),
+            memory_bytes=memory_bytes(),
         )
 
     service.bus.queryable(keys.STATUS, status, role=service.role, instance=service.instance)
     service.bus.token(service.role, service.instance)
+    return meter
 
 
 def run(service: Service, stop: Callable[[], bool]) -> None:
@@ -91,14 +132,16 @@ def run(service: Service, stop: Callable[[], bool]) -> None:
     """
     failures = 0
     try:
-        announce(service)
+        meter = announce(service)
         log.info("ready", role=service.role, instance=service.instance)
         while not stop():
             service.bus.wait(WAIT_S)
             service.bus.serve()
+            meter.tick()
             try:
                 while service.step() and not stop():
                     service.bus.serve()
+                    meter.tick()
                 failures = 0
             except Exception:
                 failures += 1

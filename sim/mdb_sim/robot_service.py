@@ -2,8 +2,9 @@
 
 Owns a body (`robot.Robot`). Does each iteration's action once, however often it comes, and none whose deadline is
 over (a dead-man's switch): an action answers the newest perception by its stamp, which is this process's own time,
-so neither frozen processes nor clocks nor slow networks make an old action look young. While it waits it shows the
-same perception again, with a new stamp. Goes on after its death where it was. Never sees a model, a reward or a
+so neither frozen processes nor clocks nor slow networks make an old action look young. A stamp from the future is
+none of this robot's. While it waits it shows the same perception again, with a new stamp. Until its first action it
+takes the brain's count of iterations, later only when the brain insists. Goes on after its death where it was. Never sees a model, a reward or a
 note: what the optimizer meant by an action travels through it unread.
 """
 
@@ -17,6 +18,7 @@ import structlog
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
+from mdb_services.elsewhere import Elsewhere
 from mdb_sim.robot import Placement, Pose, Robot, RobotError, Step
 from mdb_sim.state_file import StateFile
 
@@ -42,16 +44,19 @@ class RobotService:
         *,
         sleep: Callable[[float], None] = time.sleep,
         clock: Callable[[], float] = time.monotonic,
+        deadlines: bool = True,
     ) -> None:
         """Reset the body, or put it where `file` says, and show what it perceives.
 
-        Every action takes at least `action_s` on the wall.
+        Every action takes at least `action_s` on the wall. Without `deadlines` none comes too late: for replays.
         """
         self.bus = bus
         self._body, self._seed, self._file = body, seed, file
         self._action_s, self._sleep, self._clock = action_s, sleep, clock
+        self._deadlines = deadlines
+        self._elsewhere = Elsewhere()
         self._acted_s = 0.0
-        self._late = 0
+        self._late = self._done = 0
         self._perceptions = bus.publisher(keys.PERCEPTION)
         self._scenes = bus.publisher(keys.SCENE)
         self._actions = bus.subscriber(keys.ACTION)
@@ -87,22 +92,34 @@ class RobotService:
             return False
         if action.iteration < self._last.iteration:
             self._show()
-        elif self._clock() - action.stamp > action.valid_for_s:
+        elif self._is_late(action):
             self._late += 1
             self._show()
         elif action.action >= self._body.actions:
             self.bus.refusals.add(keys.ACTION.path, f"action {action.action}; the body has {self._body.actions}")
-        else:
-            if action.iteration > self._last.iteration:
-                self._catch_up(action.iteration)
+        elif self._catches_up(action.iteration):
             self._do(action)
+        else:
+            self.bus.refusals.add(keys.ACTION.path, f"iteration {action.iteration}; now is {self._last.iteration}")
         return True
 
-    def _catch_up(self, iteration: int) -> None:
-        """A fresh body after a restart goes on with the brain's count, where it stands."""
+    def _is_late(self, action: messages.Action) -> bool:
+        return self._deadlines and not 0.0 <= self._clock() - action.stamp <= action.valid_for_s
+
+    def _catches_up(self, iteration: int) -> bool:
+        """Bring the count to that of an action; whether it is to be done.
+
+        A fresh body after a restart goes on with the brain's count, where it stands.
+        """
+        if iteration == self._last.iteration:
+            self._elsewhere.nearer()
+            return True
+        if self._done and not self._elsewhere.believed(iteration, self._clock()):
+            return False
         log.warning("going on with the brain's iteration", mine=self._last.iteration, iteration=iteration)
         last = self._last
         self._body.restore(last.now, iteration, seed=self._seed, episode=last.episode, captures=last.captures)
+        return True
 
     def _do(self, action: messages.Action) -> None:
         started = time.perf_counter()
@@ -112,6 +129,7 @@ class RobotService:
         except RobotError as error:
             self.bus.refusals.add(keys.ACTION.path, str(error))
             return
+        self._done += 1
         self._acted_s = time.perf_counter() - started
         if self._acted_s < self._action_s:
             self._sleep(self._action_s - self._acted_s)

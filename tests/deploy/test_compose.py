@@ -52,6 +52,15 @@ def test_without_a_teacher_section_no_teacher_is_started() -> None:
     assert "teacher" not in specs["optimizer"].after
 
 
+def test_with_an_ear_section_an_ear_is_started_before_the_optimizer_and_else_none() -> None:
+    specs = for_experiment(read(), experiment("ear.detector=template"))
+    assert specs["ear"].token == "ear/notes"
+    assert "ear" in specs["optimizer"].after
+    without = for_experiment(read(), experiment())
+    assert "ear" not in without
+    assert "ear" not in without["optimizer"].after
+
+
 def test_variables_take_their_value_or_default() -> None:
     assert fill("${A:-tcp/x:1}", {}) == "tcp/x:1"
     assert fill("${A:-tcp/x:1}", {"A": "y"}) == "y"

@@ -11,6 +11,7 @@ from mdb_protocol.codec import to_plain
 from mdb_services.recorder import read_log
 from mdb_sim.experiment import Experiment
 from mdb_sim.inline import run_experiment
+from mdb_sim.replay import Run, replay, roles
 from tests.integration.brain import SHORT, Brain
 
 EXPERIMENT = experiment_path("paper")
@@ -28,6 +29,12 @@ def repeatable(run: Path) -> dict[str, list[dict[str, Any]]]:
             if plain not in sequence[-3:]:
                 sequence.append(plain)
     return values
+
+
+def check_replay(folder: Path) -> None:
+    """Each service alone says what its process said, in the order in which the recorder got it through the router."""
+    run = Run.read(folder)
+    assert [(role, found) for role in roles(run.experiment) if (found := replay(run, role).difference)] == []
 
 
 RESTLESS = (
@@ -66,6 +73,7 @@ def test_lockstep_processes_log_what_one_process_logs(body: str, tmp_path: Path,
     for key, values in expected.items():
         assert got[key] == values, key
     assert len(expected[keys.ITERATION.at("pioneer")]) == 80
+    check_replay(brain.run)
 
 
 def test_lockstep_processes_change_context_as_one_process_does(tmp_path: Path) -> None:
@@ -80,6 +88,7 @@ def test_lockstep_processes_change_context_as_one_process_does(tmp_path: Path) -
     assert {event["kind"] for event in events} == {"changed", "known", "stored", "recalled"}
     recalled = [c["pairs"] for c in expected[keys.MEMORY_CHANGE.at("pioneer", model="communication")] if c["seeds"]]
     assert any(min(pairs, default=0) < 0 for pairs in recalled)
+    check_replay(brain.run)
 
 
 def test_same_seed_gives_the_same_run_and_another_seed_another(tmp_path: Path, inline_run: Path) -> None:

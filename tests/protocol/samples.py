@@ -230,6 +230,10 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         uptime_s=FLOATS,
         values=st.dictionaries(st.text(max_size=20), ANY_FLOATS, max_size=4),
         refused=st.dictionaries(st.text(max_size=20), COUNTS, max_size=4),
+        dropped=st.dictionaries(st.text(max_size=20), COUNTS, max_size=4),
+        rate_hz=ANY_FLOATS,
+        queued=COUNTS,
+        memory_bytes=COUNTS,
     ),
 }
 

@@ -4,10 +4,11 @@ import threading
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from mdb_protocol import bus as bus_module
 from mdb_protocol import codec, keys, messages
-from mdb_protocol.bus import Raw
+from mdb_protocol.bus import AT_ONCE, LOGGED_LETTERS, Raw, Refusals
 from mdb_protocol.errors import BusError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 
@@ -85,7 +86,8 @@ def test_a_full_inbox_drops_the_oldest_and_says_so(monkeypatch: pytest.MonkeyPat
         publisher.put(messages.Finished(iterations=i))
     assert [inbox.take().iterations for _ in range(3)] == [2, 3, 4]
     assert inbox.take() is None
-    assert bus.refusals.counts[keys.FINISHED.path] == 2
+    assert bus.refusals.dropped == {keys.FINISHED.path: 2}
+    assert bus.refusals.counts == {}
 
 
 def test_a_sample_on_another_key_or_in_anothers_name_is_refused() -> None:
@@ -106,3 +108,69 @@ def test_a_closed_bus_refuses_to_publish_and_closes_twice() -> None:
     bus.close()
     with pytest.raises(BusError, match="closed"):
         publisher.put(action(1))
+
+
+def test_samples_beyond_what_their_key_may_hold_are_refused_unread() -> None:
+    bus = MemoryBus(Fabric(), BRAIN)
+    inbox = bus.subscriber(keys.ACTION)
+    key, encoding = keys.ACTION.at(BRAIN), codec.encoding_of(messages.Action)
+    inbox.put(Raw(key, bytes(keys.SMALL), encoding))
+    inbox.put(Raw(key, b"", "x" * keys.SMALL))
+    assert bus.queued() == 0
+    assert bus.refusals.counts[keys.ACTION.path] == 2
+
+
+def test_nobody_can_send_what_nobody_would_read() -> None:
+    bus = MemoryBus(Fabric(), BRAIN)
+    reading = {f"{i:05}": 1.0 for i in range(9000)}
+    message = messages.Perception(iteration=1, event="none", outcome=reading, reading={})
+    with pytest.raises(BusError, match=r"perception: \d+ bytes; readers take"):
+        bus.publisher(keys.PERCEPTION).put(message)
+
+
+@pytest.mark.parametrize("kind", ["inbox", "tap"])
+def test_what_waits_is_bounded_in_bytes(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_module, "KEPT_BYTES", 10_000)
+    bus = MemoryBus(Fabric(), BRAIN)
+    reader = bus.tap() if kind == "tap" else bus.subscriber(keys.PHASE)
+    publisher = bus.publisher(keys.PHASE)
+    for i in range(20):
+        publisher.put(messages.Phase(iteration=i, name="x" * 1000))
+    assert bus.queued() == 9
+    assert sum(bus.refusals.dropped.values()) == 11
+    assert len([1 for _ in iter(reader.take, None)]) == 9
+    assert (bus.queued(), bus.taken()) == (0, 9)
+
+
+def test_of_a_flood_only_some_is_taken_before_other_things_get_their_turn() -> None:
+    bus = MemoryBus(Fabric(), BRAIN)
+    inbox = bus.subscriber(keys.FINISHED)
+    publisher = bus.publisher(keys.FINISHED)
+    for i in range(AT_ONCE + 1):
+        publisher.put(messages.Finished(iterations=i))
+    assert len(list(inbox.some())) == AT_ONCE
+    assert bus.wait(0.0), "the rest wakes the reader"
+    assert len(list(inbox.some())) == 1
+    assert not bus.wait(0.0)
+    for _ in range(AT_ONCE + 1):
+        inbox.put(Raw(keys.FINISHED.at(BRAIN), b"junk", codec.encoding_of(messages.Finished)))
+    publisher.put(messages.Finished(iterations=7))
+    bus.wait(0.0)
+    assert inbox.take() is None
+    assert bus.wait(0.0)
+    assert inbox.take().iterations == 7
+
+
+def test_junk_is_said_in_the_log_a_few_times_and_then_once_a_minute() -> None:
+    now = 0.0
+    refusals = Refusals(clock=lambda: now)
+    with capture_logs() as lines:
+        for i in range(1000):
+            now = 0.5 * i
+            refusals.add("action", "x" * 100_000)
+            refusals.drop("pair", "no room")
+    assert (refusals.counts, refusals.dropped) == ({"action": 1000}, {"pair": 1000})
+    said = [line["count"] for line in lines if line["key"] == "action"]
+    assert said == [1, 2, 3, *range(123, 1000, 120)]
+    assert max(len(line["reason"]) for line in lines) == LOGGED_LETTERS
+    assert len(lines) == 2 * len(said)

@@ -1,6 +1,7 @@
 """The codec: every message comes back as it went; anything else is a DecodeError and nothing but."""
 
 import math
+import tracemalloc
 from typing import Any
 
 import msgpack
@@ -186,6 +187,8 @@ def test_unknown_fields_are_accepted_and_other_encodings_refused(cls: type[Messa
     ("cls", "fields"),
     [
         (messages.Action, lambda v: {"valid_for_s": v}),
+        (messages.Action, lambda v: {"stamp": v}),
+        (messages.Perception, lambda v: {"stamp": v}),
         (messages.Feedback, lambda v: {"value": v}),
         (messages.Perception, lambda v: {"reading": {"distance": v}}),
         (messages.Perception, lambda v: {"outcome": {"distance": v}}),
@@ -289,6 +292,35 @@ def test_huge_and_deep_payloads_are_refused() -> None:
     assert accepted(messages.Finished, b"\x81\xa1a" * 100_000) is None
     assert accepted(messages.Finished, b"\xdd\xff\xff\xff\xff") is None
     assert accepted(messages.Finished, b"\xc6\xff\xff\xff\xff") is None
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"\xdc\x05\xdc" + (b"\xdc\x27\x10" + b"\x90" * 10_000) * 1500,
+        b"\xdc\x27\x10" * 5_000_000,
+        b"\xdd\x00\xf0\x00\x00" * 3_000_000,
+        b"\xdf\x00\xf0\x00\x00" * 3_000_000,
+        b"\xc9\x00\xe4\xe1\xc0\x01" + b"\x94" * 15_000_000,
+        b"\x81\xaaiterations" + b"\xdd\x00\xe4\xe1\xc0" + b"\x00" * 15_000_000,
+    ],
+    ids=["empty lists", "nested", "nested, long", "maps", "in an array", "one long list"],
+)
+def test_a_payload_that_stands_for_much_memory_is_refused_before_it_takes_it(payload: bytes) -> None:
+    tracemalloc.start()
+    try:
+        assert accepted(messages.Finished, payload[: codec.MAX_BYTES]) is None
+        assert tracemalloc.get_traced_memory()[1] < 8 * codec.MAX_BYTES
+    finally:
+        tracemalloc.stop()
+
+
+def test_more_items_than_any_message_has_are_refused() -> None:
+    for count, taken in ((256, True), (257, False)):
+        reading = {f"sensor{i}": 1.0 for i in range(count)}
+        judges = ["anna"] * count
+        assert (accepted(messages.Perception, packed(messages.Perception, reading=reading)) is not None) == taken
+        assert (accepted(messages.Pair, packed(messages.Pair, judges=judges)) is not None) == taken
 
 
 def test_numbers_that_are_no_counts_are_refused() -> None:

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import Inbox
 from mdb_protocol.memory_bus import Fabric, MemoryBus
@@ -11,12 +13,15 @@ from mdb_services.memory_file import MemoryFile
 from mdb_services.memory_store import MemoryStore
 from tests.services.small import BRAIN
 
+ITERATIONS = 1000
+
 
 class Rig:
     """See the module's docstring."""
 
     def __init__(self, path: Path, settings: BrainConfig) -> None:
-        self.path, self.settings = path, settings
+        long = msgspec.structs.replace(settings.experiment, iterations=ITERATIONS)
+        self.path, self.settings = path, msgspec.structs.replace(settings, experiment=long)
         self.fabric = Fabric()
         self.outside = MemoryBus(self.fabric, BRAIN)
         self.pairs = self.outside.publisher(keys.PAIR)

@@ -14,7 +14,7 @@ from mdb_services.config import BrainConfig, brain_config
 from mdb_services.memory_file import MemoryFile
 from mdb_services.memory_store import RETRY_S, MemoryStore
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, pair
-from tests.services.store_rig import Rig, taken
+from tests.services.store_rig import ITERATIONS, Rig, taken
 
 RELEVANCE = {"recency": 0.3, "distance": 1.0, "current_error": 1.0, "entry_error": 0.5}
 
@@ -249,13 +249,22 @@ def test_models_that_do_not_fit_are_refused_and_the_last_good_one_kept(make_rig:
     assert len(taken(rig.stored)) == 1
 
 
-@pytest.mark.parametrize("fields", [{"note": 99}, {"action": 99}, {"before": {"sound": 1.0}}])
+@pytest.mark.parametrize("fields", [{"note": 99}, {"before": {"sound": 1.0}}])
 def test_pairs_with_what_no_model_knows_are_stored_and_change_no_memory(make_rig: MakeRig, fields: dict) -> None:
     rig = make_rig()
     rig.give(pair(0, **({"before": {}} | fields)), pair(1))
     assert [answer.iteration for answer in taken(rig.stored)] == [0, 1]
     unknown = {c.model for c in taken(rig.changes) if c.pairs.tolist() == [0]}
     assert unknown == ({"communication"} if "before" in fields else set())
+
+
+def test_pairs_that_this_experiment_cannot_have_are_refused(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.give(pair(0), pair(ITERATIONS), pair(2**53, before={}), pair(1, action=3), pair(1))
+    assert [answer.iteration for answer in taken(rig.stored)] == [0, 1]
+    assert rig.store.bus.refusals.counts[keys.PAIR.path] == 3
+    (progress,) = rig.outside.query(keys.PROGRESS, 1.0)
+    assert progress.iteration == 2
 
 
 def test_in_lockstep_a_pair_waits_for_the_models_it_was_acted_upon(make_rig: MakeRig) -> None:

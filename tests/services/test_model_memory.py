@@ -22,7 +22,7 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.config import BrainConfig
 from mdb_services.evolver import Evolver
 from mdb_services.memory_file import MemoryFile
-from mdb_services.memory_store import MemoryStore
+from mdb_services.memory_store import RETRY_S, MemoryStore
 from tests.services.languages import NAME, SPEAKS, Student, config, current, feedback, language_of, pair
 from tests.services.small import BRAIN
 from tests.services.store_rig import Rig, taken
@@ -60,6 +60,8 @@ class Lesson:
             self.rig.give(one)
             models = []
             for change in taken(self.rig.changes):
+                if change.version == self.student.mirror.version:  # a store that begins says its last change again
+                    continue
                 models.append(self.student.follow(change))
                 self.told.changes.append(codec.to_plain(change))
             for model in models if show else []:
@@ -73,7 +75,9 @@ class Lesson:
         self.hear(*(pair(i, story[i]) for i in range(start, stop)))
 
     def values(self) -> Plain:
-        return self.rig.store.values()
+        """What the store says of its memories, not of what it was given twice or could not write."""
+        aside = ("duplicates", "unwritten", "disk_refuses")
+        return {name: value for name, value in self.rig.store.values().items() if name not in aside}
 
     def events(self) -> list[tuple[int, str, int | None]]:
         return [(event["iteration"], event["kind"], event["stored"]) for event in self.told.events]
@@ -292,14 +296,15 @@ def test_a_failing_write_leaves_the_memories_as_they_are_on_disk(
     def add(*_: object) -> None:
         raise sqlite3.OperationalError("disk I/O error")
 
+    rig.pairs.put(pair(at, STORY[at]))
     for _ in range(2):
-        rig.pairs.put(pair(at, STORY[at]))
+        rig.now += RETRY_S
         with monkeypatch.context() as patch:
             patch.setattr(rig.store._file, "add", add)
-            with pytest.raises(sqlite3.OperationalError, match="disk I/O"):
-                rig.store.step()
+            rig.store.step()
         assert (rig.snapshots(), lesson.values()) == before
         assert [taken(inbox) for inbox in (rig.changes, rig.events)] == [[], []]
+    rig.now += RETRY_S
     lesson.live(at)
     assert lesson.told == straight
 
@@ -333,7 +338,7 @@ def test_a_damaged_memory_is_a_clear_error(lesson: Lesson, damage: str) -> None:
         database.execute(damage)
         if "DROP" in damage:
             database.execute("CREATE TABLE context (a, b)")
-    with pytest.raises(MdbError, match=r"memory\.sqlite cannot be used.*Move it away"):
+    with pytest.raises(MdbError, match=r"memory\.sqlite cannot be used.*mdb rescue"):
         lesson.rig.restart()
 
 
@@ -591,7 +596,7 @@ def test_a_model_that_reads_something_else_is_a_clear_error(tmp_path: Path, fiel
     path = tmp_path / "memory.sqlite"
     with MemoryFile(path) as file:
         file.keep_long_term([brought(1, "A"), brought(2, "A", **fields)])
-    with pytest.raises(MdbError, match=rf"memory\.sqlite cannot be used.*{said}.*Move it away"):
+    with pytest.raises(MdbError, match=rf"memory\.sqlite cannot be used.*{said}.*mdb rescue"):
         MemoryStore(MemoryBus(Fabric(), BRAIN), config(), MemoryFile(path))
 
 

@@ -9,7 +9,9 @@ import pytest
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.config import BrainConfig
+from mdb_services.elsewhere import BELIEVED_AFTER_S
 from mdb_services.optimizer import ENDING_S, UNSTORED, Optimizer
+from mdb_services.teachers import KEPT_AHEAD
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, perception
 
 OPTIMIZER = CONTENT["optimizer"]
@@ -323,6 +325,22 @@ def test_lockstep_does_not_give_up_a_slow_teacher_before_its_own_patience() -> N
     assert [(p.note, p.feedback) for p in rig.said(keys.PAIR)] == [(1, 1.0)]
 
 
+@pytest.mark.parametrize(("pace", "waits"), [(LOCKSTEP, True), (CONTENT["experiment"], False)])
+def test_lockstep_waits_for_an_expected_teacher_who_is_started_again(pace: Any, waits: bool) -> None:
+    """After his death, and after the router's, his token is not there for a while."""
+    rig = Rig(config(experiment=pace), teacher=False)
+    bus = MemoryBus(rig.fabric, BRAIN)
+    rig.optimizer = Optimizer(bus, rig.settings, clock=lambda: rig.now, expected=frozenset({"teacher/script"}))
+    rig.sense(0)
+    assert (rig.said(keys.ACTION) == []) is waits
+    rig.command(0)
+    rig.sense(1)
+    assert (rig.said(keys.PAIR) == []) is waits, "his feedback"
+    if waits:
+        rig.reward(0)
+        assert [pair.note for pair in rig.said(keys.PAIR)] == [1]
+
+
 def test_the_same_messages_give_the_same_run() -> None:
     def run() -> list[Any]:
         rig = Rig(config(experiment=LOCKSTEP), teacher=False)
@@ -362,13 +380,64 @@ def test_a_robot_that_moved_on_before_the_action_was_chosen_is_followed() -> Non
     assert [(p.iteration, p.before["distance"]) for p in rig.said(keys.PAIR)] == [(3, 0.5)]
 
 
-def test_a_robot_that_is_further_than_the_action_led_is_followed_and_no_pair_is_made_up() -> None:
+def test_a_robot_that_insists_to_be_further_than_the_action_led_is_followed_and_no_pair_is_made_up() -> None:
     rig = Rig(teacher=False)
     rig.sense(0)
-    rig.sense(3, 0.5)
+    for _ in range(round(BELIEVED_AFTER_S / 0.25) + 1):
+        rig.sense(3, 0.5)
+        rig.wait(0.3)
     rig.sense(4, 0.4)
     assert [(p.iteration, p.before["distance"]) for p in rig.said(keys.PAIR)] == [(3, 0.5)]
-    assert [a.iteration for a in rig.said(keys.ACTION)] == [4]
+    assert [a.iteration for a in rig.said(keys.ACTION)][-1] == 4
+
+
+def test_a_perception_from_far_ahead_does_not_move_the_count() -> None:
+    rig = Rig(teacher=False)
+    for far in (6, 2**53):
+        rig.sense(far)
+        rig.wait(BELIEVED_AFTER_S + 0.1)
+        rig.sense(far)
+    assert rig.said(keys.FINISHED) == [], "there is nothing beyond the last iteration"
+    rig.sense(0)
+    for _ in range(30):
+        rig.sense(4, 0.1)
+        rig.sense(2**53, 0.1)
+        rig.sense(0, 0.1)
+        rig.wait(0.1)
+    assert rig.refused(keys.PERCEPTION) == 64
+    rig.sense(1, 1.2)
+    assert [(p.iteration, p.after["distance"]) for p in rig.said(keys.PAIR)] == [(0, 1.2)]
+
+
+def test_commands_feedback_and_acknowledgements_of_what_never_was_are_refused() -> None:
+    rig = Rig()
+    rig.sense(0)
+    for far in (KEPT_AHEAD + 1, 2**53):
+        rig.command(far)
+        rig.reward(far)
+        rig.store(far, object=2**53)
+    rig.store(0, object=2**53)
+    assert (rig.refused(keys.COMMAND), rig.refused(keys.FEEDBACK), rig.refused(keys.PAIR_STORED)) == (2, 2, 3)
+    assert rig.optimizer._required == {}
+    rig.command(KEPT_AHEAD)
+    rig.command(0)
+    rig.sense(1)
+    rig.reward(0)
+    assert [p.iteration for p in rig.said(keys.PAIR)] == [0]
+    assert (rig.refused(keys.COMMAND), rig.refused(keys.FEEDBACK)) == (2, 2)
+
+
+def test_a_robot_that_began_anew_takes_the_brains_count() -> None:
+    rig = Rig(teacher=False)
+    rig.progress = progress(3)
+    rig.start()
+    rig.settle()
+    rig.sense(0, 1.9)
+    (action,) = rig.said(keys.ACTION)
+    assert action.iteration == 3
+    rig.sense(0, 1.9)
+    rig.sense(4, 1.8, done=action)
+    assert [(p.iteration, p.before["distance"]) for p in rig.said(keys.PAIR)] == [(3, 1.9)]
 
 
 def test_the_end_waits_for_the_last_acknowledgement() -> None:

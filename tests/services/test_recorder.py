@@ -1,19 +1,21 @@
 """The run log: everything that was said is read again, whatever the end of the recorder was."""
 
+import errno
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from structlog.testing import capture_logs
 
 from mdb_protocol import codec, keys, messages
-from mdb_protocol.bus import Raw
+from mdb_protocol.bus import TAPPED, Raw
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services import recorder as recorder_module
-from mdb_services.recorder import Recorder, read_log
+from mdb_services.recorder import RETRY_S, Recorder, read_log
 from tests.services.small import BRAIN, model, pair, perception
 
 
@@ -99,7 +101,7 @@ def test_a_segment_that_someone_deleted_is_no_obstacle(tmp_path: Path) -> None:
     assert rig.read() == [("pair", 0), ("pair", 2), ("pair", 9)]
 
 
-def test_junk_is_recorded_as_it_came_and_left_out_when_read(tmp_path: Path) -> None:
+def test_junk_is_counted_and_not_recorded(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     key, right = keys.PAIR.at(BRAIN), codec.encoding_of(messages.Pair)
     rig.say(keys.PAIR, pair(0))
@@ -109,7 +111,8 @@ def test_junk_is_recorded_as_it_came_and_left_out_when_read(tmp_path: Path) -> N
     rig.junk("nonsense", b"junk", ";;;")
     rig.say(keys.PAIR, pair(1))
     rig.stop()
-    assert rig.recorder.values()["messages"] == 8
+    assert rig.recorder.values()["messages"] == 2
+    assert rig.recorder.bus.refusals.counts == {keys.PAIR.path: 4, TAPPED: 2}
     assert rig.read() == [("pair", 0), ("pair", 1)]
 
 
@@ -120,12 +123,82 @@ def test_more_keys_and_encodings_than_a_log_file_has_room_for_begin_the_next(
     rig = Rig(tmp_path)
     rig.say(keys.PAIR, pair(0))
     for i in range(70):
-        rig.junk("mdb/test/pair", b"", f"junk;{i}")
+        command = messages.Command(teacher=f"anna{i}", iteration=i, note=1)
+        rig.say(keys.COMMAND, command, teacher=command.teacher)
     rig.say(keys.PAIR, pair(1))
     rig.recorder.step()
     rig.stop()
-    assert rig.read() == [("pair", 0), ("pair", 1)]
+    assert len(rig.read()) == 72
     assert len(list(tmp_path.glob("run*.mcap"))) == 2
+
+
+class Disk:
+    """A file on a disk that takes so many bytes."""
+
+    def __init__(self, file: IO[bytes], room: list[int]) -> None:
+        self._file, self._room = file, room
+        self._buffer = b""
+
+    def write(self, data: bytes) -> int:
+        self._buffer += data
+        return len(data)
+
+    def tell(self) -> int:
+        return self._file.tell() + len(self._buffer)
+
+    def flush(self) -> None:
+        taken = self._buffer[: self._room[0]]
+        self._file.write(taken)
+        self._file.flush()
+        self._room[0] -= len(taken)
+        self._buffer = self._buffer[len(taken) :]
+        if self._buffer:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def close(self) -> None:
+        try:
+            self.flush()
+        finally:
+            self._file.close()
+
+
+def test_a_full_disk_costs_what_comes_meanwhile_and_one_segment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room, now = [3000], [100.0]
+    opened = Path.open
+    monkeypatch.setattr(
+        recorder_module.Path,
+        "open",
+        lambda path, mode="r", **given: (
+            Disk(opened(path, mode), room) if mode == "xb" else opened(path, mode, **given)
+        ),
+    )
+    fabric = Fabric()
+    world, recorder = MemoryBus(fabric, BRAIN), Recorder(MemoryBus(fabric, BRAIN), tmp_path, clock=lambda: now[0])
+    pairs = world.publisher(keys.PAIR)
+    with capture_logs() as lines:
+        for i in range(200):
+            pairs.put(pair(i))
+            recorder.step()
+            now[0] += 0.1
+        values = recorder.values()
+        kept = int(values["messages"])
+        assert (values["disk_refuses"], kept + values["lost"], 0 < kept < 20) == (1.0, 200, True)
+        assert len(list(tmp_path.glob("run*.mcap"))) == 1
+        room[0] = 10**6
+        now[0] += RETRY_S
+        pairs.put(pair(200))
+        recorder.step()
+        assert recorder.values()["disk_refuses"] == 0.0
+    recorder.close()
+    assert [line["event"] for line in lines] == [
+        "cannot write the run log; what comes meanwhile is lost to it", "recording again",
+    ]  # fmt: skip
+    assert len(list(tmp_path.glob("run*.mcap"))) == 2
+    read = [r.message.iteration for r in read_log(tmp_path)]  # type: ignore[attr-defined]
+    assert read == [*range(len(read) - 1), 200]
+    assert len(read) == kept + 1
 
 
 @pytest.fixture(scope="module")

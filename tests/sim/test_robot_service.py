@@ -9,6 +9,7 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_services.elsewhere import BELIEVED_AFTER_S
 from mdb_sim.robot import Placement, Pose, RobotConfig, RobotError, Step, make_robot
 from mdb_sim.robot_service import SHOWN_AGAIN_S, RobotService
 from mdb_sim.state_file import StateFile
@@ -153,6 +154,36 @@ def test_a_fresh_body_goes_on_with_the_brains_iteration() -> None:
     assert (perception.iteration, rig.body.restored) == (58, [(57, SEED)])
     rig.act(58)
     assert rig.body.restored == [(57, SEED)]
+
+
+def test_a_body_that_has_acted_takes_another_count_only_from_a_brain_that_insists() -> None:
+    rig = Rig()
+    rig.act(0)
+    rig.perceptions.take()
+    for far in (57, 2**53):
+        assert rig.act(far) is None
+    for _ in range(20):
+        assert rig.act(57) is None
+        assert rig.act(0) is not None, "what it did is shown again, and is no word of another count"
+        rig.now += 0.1
+        assert rig.act(2**53) is None
+    assert rig.body.restored == []
+    assert rig.service.bus.refusals.counts[keys.ACTION.path] == 42
+    perception = None
+    for _ in range(round(BELIEVED_AFTER_S / 0.5) + 2):
+        perception = perception or rig.act(57)
+        rig.now += 0.5
+    assert perception is not None
+    assert (perception.iteration, rig.body.restored) == (58, [(57, SEED)])
+
+
+def test_an_action_with_a_stamp_that_this_robot_never_gave_is_not_done() -> None:
+    rig = Rig()
+    rig.perceptions.take()
+    for stamp in (rig.now + 0.1, 1e300, -1e300):
+        rig.actions.put(order(0, 2, stamp))
+        rig.service.step()
+    assert (rig.body.done, rig.service.values()["late"]) == ([], 3.0)
 
 
 def test_an_action_takes_its_time_on_the_wall() -> None:

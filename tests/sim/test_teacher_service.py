@@ -149,3 +149,17 @@ def test_a_late_teacher_says_not_now_and_judges_so_many_iterations_later() -> No
         (0, None), (1, None), (0, 1.0), (2, None), (1, 1.0), (2, 1.0),
     ]  # fmt: skip
     assert rig.teacher.values()["rewards"] == 3
+
+
+def test_a_teacher_started_again_at_a_change_of_phase_lets_the_one_before_leave() -> None:
+    """Else the brain would wait for him who holds the word and says nothing any more."""
+    rig = Rig()
+    rig.show(scene(1))
+    rig.said(keys.COMMAND)
+    rig.start()
+    rig.show(scene(2))
+    assert [(c.teacher, c.note) for c in rig.said(keys.COMMAND)] == [("script", None), ("one", None)]
+    rig.start()
+    rig.show(scene(3))
+    assert [(c.teacher, c.note) for c in rig.said(keys.COMMAND)] == [("script", None)]
+    assert [phase.name for phase in rig.said(keys.PHASE)] == ["first", "alone", "alone"], "a late joiner asks for it"

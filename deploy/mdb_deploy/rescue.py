@@ -1,0 +1,33 @@
+"""`mdb rescue`: a new run folder from one whose memory file is damaged, with all that can be read.
+
+Owns what belongs to a run besides its memory: experiment, robot's state and run log go along as they are.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from mdb_deploy.processes import ENDPOINT_FILE
+from mdb_protocol.errors import ConfigError, MdbError
+from mdb_services import memory_rescue
+from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.memory_rescue import Salvage
+from mdb_sim.experiment import Experiment
+
+LEFT_BEHIND = (f"{MEMORY_FILE}*", ENDPOINT_FILE, "lock", "logs")
+
+
+def rescue_run(run: Path, out: Path) -> Salvage:
+    """Make a run folder at `out` that `mdb up --resume` goes on with; return what of the memory could be read.
+
+    MdbError when `run` is no run folder or `out` is there already. Nothing in `run` is changed.
+    """
+    try:
+        experiment = Experiment.read(run / EXPERIMENT_FILE)
+    except ConfigError as error:
+        raise MdbError(f"{run} is not a run folder: {error}") from error
+    if out.exists():
+        raise MdbError(f"{out} is there already; give a new place")
+    shutil.copytree(run, out, ignore=shutil.ignore_patterns(*LEFT_BEHIND))
+    return memory_rescue.rescue(run / MEMORY_FILE, experiment.brain, out / MEMORY_FILE)

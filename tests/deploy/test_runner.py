@@ -1,0 +1,143 @@
+"""The runner: what dies comes back at once; what dies quickly again and again ends the run with its last words."""
+
+import asyncio
+import os
+import signal
+import sys
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+
+from mdb_deploy import runner as module
+from mdb_deploy.compose import ProcessSpec
+from mdb_deploy.runner import BACKOFF_S, QUICK_DEATHS, Child, Runner, StartError
+
+BOUND_S = 20.0
+READY = "import pathlib, time; pathlib.Path({flag!r}).touch(); "
+LIVES = READY + "time.sleep(60)"
+DIES = READY + "time.sleep(0.2); print('no disk'); print('giving in'); raise SystemExit(3)"
+
+
+class Rig:
+    """A runner of one process, which is ready as long as its flag file is there."""
+
+    def __init__(self, folder: Path, code: str, *, restarts: bool = True) -> None:
+        self.flag = folder / "ready"
+        command = (sys.executable, "-u", "-c", code.format(flag=str(self.flag)))
+        spec = ProcessSpec("one", command, (), "role/one", {}, restarts)
+        self.runner = Runner({"one": spec}, {}, folder / "logs", self.alive)
+        self.child = self.runner.children["one"]
+
+    def alive(self) -> frozenset[str]:
+        return frozenset({"role/one"}) if self.flag.exists() else frozenset()
+
+    def kill(self) -> None:
+        assert self.child.process is not None
+        self.flag.unlink()
+        os.kill(self.child.process.pid, signal.SIGKILL)
+
+
+async def until(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + BOUND_S
+    while not condition():
+        assert time.monotonic() < deadline, "the condition did not come true within the bound"
+        await asyncio.sleep(0.01)
+
+
+def run(rig: Callable[[], Rig], check: Callable[[Rig], Awaitable[None]]) -> None:
+    async def whole() -> None:
+        one = rig()
+        try:
+            await check(one)
+        finally:
+            await one.runner.stop()
+
+    asyncio.run(whole())
+
+
+def test_a_killed_process_is_started_again_at_once_and_is_not_ready_until_its_token_is_back(tmp_path: Path) -> None:
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        assert rig.child.ready
+        first = rig.child.process
+        rig.kill()
+        await until(lambda: rig.child.process is not first)
+        assert not rig.child.ready
+        await until(lambda: rig.child.ready)
+        assert (rig.child.restarts, rig.runner.failed.done()) == (1, False)
+
+    run(lambda: Rig(tmp_path, LIVES), check)
+
+
+def test_many_deaths_that_are_not_quick_end_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "QUICK_S", 0.0)
+
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        for death in range(QUICK_DEATHS + 1):
+            rig.kill()
+            await until(lambda death=death: rig.child.restarts == death + 1 and rig.child.ready)  # type: ignore[misc]
+        assert (rig.child.quick_deaths, rig.runner.failed.done()) == (0, False)
+
+    run(lambda: Rig(tmp_path, LIVES), check)
+
+
+def test_a_process_that_dies_quickly_again_and_again_ends_the_run_with_its_last_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "BACKOFF_S", 0.01)
+
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        error = await asyncio.wait_for(rig.runner.failed, BOUND_S)
+        said = str(error)
+        assert f"one died {QUICK_DEATHS} times in a row" in said
+        assert "last with status 3" in said
+        assert str(tmp_path / "logs" / "one.log") in said
+        assert said.endswith("no disk\n    giving in")
+        assert rig.child.restarts == QUICK_DEATHS - 1
+
+    run(lambda: Rig(tmp_path, DIES), check)
+
+
+def test_a_process_that_does_not_come_back_to_being_ready_is_ended_and_counts_as_a_death(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    once = (
+        "import os, pathlib, time; flag = pathlib.Path({flag!r}); first = not (flag.parent / 'again').exists(); "
+        "(flag.parent / 'again').touch(); first and flag.touch(); time.sleep(60)"
+    )
+
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        monkeypatch.setattr(module, "READY_S", 0.3)
+        monkeypatch.setattr(module, "BACKOFF_S", 0.01)
+        rig.kill()
+        assert "last with status -9" in str(await asyncio.wait_for(rig.runner.failed, BOUND_S))
+
+    run(lambda: Rig(tmp_path, once), check)
+
+
+def test_a_process_that_ends_while_starting_is_named_with_its_last_lines(tmp_path: Path) -> None:
+    async def check(rig: Rig) -> None:
+        with pytest.raises(StartError, match=r"one ended with status 1(.|\n)*ModuleNotFoundError"):
+            await rig.runner.start()
+
+    run(lambda: Rig(tmp_path, "import nothing_of_this_name"), check)
+
+
+def test_what_is_not_to_be_started_again_ends_the_run(tmp_path: Path) -> None:
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        error = await asyncio.wait_for(rig.runner.failed, BOUND_S)
+        assert "not to be started again" in str(error)
+
+    run(lambda: Rig(tmp_path, DIES, restarts=False), check)
+
+
+def test_the_first_restart_is_immediate_and_later_ones_wait_ever_longer() -> None:
+    spec = ProcessSpec("one", ("true",), (), "role/one", {}, True)
+    waits = [Child(spec, Path("log"), quick_deaths=n).backoff_s for n in range(QUICK_DEATHS)]
+    assert waits == [0.0, 0.0, BACKOFF_S, 2 * BACKOFF_S, 4 * BACKOFF_S]
