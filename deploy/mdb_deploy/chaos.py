@@ -18,7 +18,7 @@ import numpy as np
 import structlog
 
 from mdb_deploy.chaos_report import Kill, Report, write_report
-from mdb_deploy.compose import OPTIMIZER, ROUTER
+from mdb_deploy.compose import OPTIMIZER, ROUTER, for_experiment, read
 from mdb_deploy.runner import QUICK_DEATHS, QUICK_S
 from mdb_deploy.under_test import POLL_S, BrainError, BrainUnderTest, long_experiment, stop_on_sigterm
 from mdb_deploy.witness import compare
@@ -119,9 +119,6 @@ class Chaos:
 
     def __post_init__(self) -> None:
         members = self.brain.members
-        unknown = sorted(set(self.options.roles) - set(members))
-        if unknown:
-            raise ConfigError(f"--roles names {', '.join(unknown)}; this experiment has {', '.join(members)}")
         self._roles = self.options.roles or tuple(members)
         self._everybody = frozenset(member.token for member in members.values())
 
@@ -200,8 +197,11 @@ def experiment_of(options: ChaosOptions) -> Experiment:
 
 def run(options: ChaosOptions, say: Callable[[str], None]) -> Report:
     """Run a brain with its kills; return what came of it. BrainError when it does not survive."""
-    load_before = os.getloadavg()[0]
-    with BrainUnderTest(experiment_of(options), options.out) as brain:
+    load_before, experiment = os.getloadavg()[0], experiment_of(options)
+    members = for_experiment(read(), experiment)
+    if unknown := sorted(set(options.roles) - set(members)):
+        raise ConfigError(f"--roles names {', '.join(unknown)}; this experiment has {', '.join(members)}")
+    with BrainUnderTest(experiment, options.out) as brain:
         say(f"killing {options.kills} processes of {brain.run}")
         chaos = Chaos(brain, options, np.random.default_rng(options.seed))
         chaos.go(say)

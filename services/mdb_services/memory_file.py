@@ -108,7 +108,7 @@ class MemoryFile:
             ) from error
 
     def _check_length(self) -> None:
-        """Raise DamageError for what SQLite mends in silence: a log beside an empty file is removed, a page filled up."""
+        """Raise DamageError for what SQLite mends in silence: it removes a log beside an empty file, and so on."""
         log = self._path.with_name(f"{self._path.name}-wal")
         bytes_, logged = (path.stat().st_size if path.is_file() else 0 for path in (self._path, log))
         if logged and not bytes_:

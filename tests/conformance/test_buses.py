@@ -105,6 +105,7 @@ def test_latest_value_reader_gets_the_newest_only(make_bus: MakeBus) -> None:
     reader, writer = make_bus(), make_bus()
     inbox = reader.subscriber(keys.ACTION)
     publisher = writer.publisher(keys.ACTION)
+    settle(reader, writer)  # before that it is a late joiner, who may for a moment have an older one
     for i in range(50):
         publisher.put(action(i))
     marker = reader.subscriber(keys.FEEDBACK)

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -71,17 +71,20 @@ class Brain:
         pace: str = "concurrent",
         experiment: tuple[str, tuple[str, ...]] = PAPER,
         options: tuple[str, ...] = (),
+        listen: str = "tcp/127.0.0.1:0",
+        inside: Sequence[str] = (),
     ) -> None:
+        """`inside`: words before the command, which lead into another place than this."""
         self._folder = folder
         self._out = folder / "up.out"
         file, short = experiment
-        words = ["up", file, "--runs", str(folder), "--listen", "tcp/127.0.0.1:0", "--no-plot", "--pace", pace]
+        words = ["up", file, "--runs", str(folder), "--listen", listen, "--no-plot", "--pace", pace]
         words += options
         for setting in (*short, *settings):
             words += ["--set", setting]
         with self._out.open("wb") as out:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "mdb_deploy.cli", *words], stdout=out, stderr=subprocess.STDOUT
+                [*inside, sys.executable, "-m", "mdb_deploy.cli", *words], stdout=out, stderr=subprocess.STDOUT
             )
 
     @property

@@ -8,6 +8,7 @@ import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -61,7 +62,7 @@ def longest_gap_s(heard: list[Heard], kind: type[M], began_s: float, ended_s: fl
     """Return the longest time in which no message of a kind came, in a span of time."""
     times = [began_s, *(h.at_s for h in heard if isinstance(h.message, kind)), ended_s]
     inside = [t for t in times if began_s <= t <= ended_s]
-    return max(b - a for a, b in zip(inside, inside[1:], strict=False))
+    return max(after - before for before, after in pairwise(inside))
 
 
 @contextmanager

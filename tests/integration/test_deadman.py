@@ -1,8 +1,9 @@
-"""The dead-man's switch and frozen processes: the robot stands still when nobody guides it, and nothing stale is done."""
+"""Dead-man's switch and frozen processes: a robot that nobody guides stands still, and nothing stale is done."""
 
 import os
 import signal
-from pathlib import Path
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import pytest
 
@@ -17,6 +18,30 @@ VALID_S = 1.0
 """`optimizer.action_valid_s` of the experiment."""
 SCHEDULING_S = 0.5
 """What a busy machine may take."""
+
+
+class Watched(NamedTuple):
+    """A brain, somebody who hears all that is said in it, and his bus."""
+
+    brain: Brain
+    bus: ZenohBus
+    ears: Ears
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watched]:
+    """One brain for all of them: each goes on where the one before has left it."""
+    with Brain(tmp_path_factory.mktemp("brain"), *LONG, "robot.action_s=0") as brain, brain.bus() as bus:
+        yield Watched(brain, bus, Ears(bus))
+
+
+@pytest.fixture
+def ears(watched: Watched) -> Ears:
+    """Hears from now on."""
+    watched.ears.listen(0.1)
+    watched.ears.heard.clear()
+    goes_on(watched.ears)
+    return watched.ears
 
 
 def pid_of(brain: Brain, bus: ZenohBus, role: str, instance: str) -> int:
@@ -40,61 +65,57 @@ def goes_on(ears: Ears, more: int = 20) -> None:
 def stands(ears: Ears, seconds: float) -> int:
     """Listen; the robot must show that it is still where it was, and the same all the time. Return the iteration."""
     shown = of(ears.listen(seconds), messages.Perception)
-    assert len(shown) >= seconds / 0.5, "it shows again what it perceives"
+    assert len(shown) >= int(seconds / 0.5), "it shows again what it perceives"
     assert {p.iteration for p in shown} == {shown[0].iteration}
     assert len({p.stamp for p in shown}) == len(shown)
     return shown[0].iteration
 
 
-def test_without_an_optimizer_the_robot_stands_still_and_with_the_next_one_it_goes_on(tmp_path: Path) -> None:
-    with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
-        ears = Ears(bus)
-        goes_on(ears)
-        optimizer = pid_of(brain, bus, "optimizer", "action")
-        with frozen(brain.process.pid):  # so that it is not started again at once
-            os.kill(optimizer, signal.SIGKILL)
-            ears.listen(0.3)
-            stood = stands(ears, 2.0)
-        goes_on(ears)
-        assert pid_of(brain, bus, "optimizer", "action") != optimizer
-        done = {p.done.iteration for p in of(ears.heard, messages.Perception) if p.done is not None}
-        assert stood in done
+def test_without_an_optimizer_the_robot_stands_still_and_with_the_next_one_it_goes_on(
+    watched: Watched, ears: Ears
+) -> None:
+    brain, bus, _ = watched
+    optimizer = pid_of(brain, bus, "optimizer", "action")
+    with frozen(brain.process.pid):  # so that it is not started again at once
+        os.kill(optimizer, signal.SIGKILL)
+        ears.listen(0.3)
+        stood = stands(ears, 2.0)
+    goes_on(ears)
+    assert pid_of(brain, bus, "optimizer", "action") != optimizer
+    done = {p.done.iteration for p in of(ears.heard, messages.Perception) if p.done is not None}
+    assert stood in done
 
 
-def test_a_frozen_optimizer_moves_nothing_then_and_nothing_stale_after(tmp_path: Path) -> None:
-    with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
-        ears = Ears(bus)
-        goes_on(ears)
-        with frozen(pid_of(brain, bus, "optimizer", "action")):
-            ears.listen(0.3)
-            stands(ears, 2.5)
-        goes_on(ears)
-        check_nothing_stale(ears)
+def test_a_frozen_optimizer_moves_nothing_then_and_nothing_stale_after(watched: Watched, ears: Ears) -> None:
+    brain, bus, _ = watched
+    with frozen(pid_of(brain, bus, "optimizer", "action")):
+        ears.listen(0.3)
+        stands(ears, 2.5)
+    goes_on(ears)
+    check_nothing_stale(ears)
 
 
-def test_a_robot_that_was_frozen_does_none_of_the_actions_that_came_meanwhile(tmp_path: Path) -> None:
-    with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
-        ears = Ears(bus)
-        goes_on(ears)
-        robot, optimizer = pid_of(brain, bus, "robot", "body"), pid_of(brain, bus, "optimizer", "action")
-        late = robots(brain, bus)["late"]
-        with frozen(optimizer):
-            ears.listen(0.3)
-            stood = stands(ears, 0.6)
-            os.kill(robot, signal.SIGSTOP)
-        try:  # the optimizer answers what the robot had shown before it froze, again and again
-            meanwhile = of(ears.listen(3.0), messages.Action)
-        finally:
-            os.kill(robot, signal.SIGCONT)
-        waiting = [action for action in meanwhile if action.iteration == stood]
-        assert len(waiting) >= 3, "actions came while it was frozen"
-        stale = max(action.stamp for action in waiting)
-        goes_on(ears)
-        assert robots(brain, bus)["late"] > late
-        done = [p.done for p in of(ears.heard, messages.Perception) if p.done is not None]
-        (first,) = {action.stamp for action in done if action.iteration == stood}
-        assert first > stale + 2.0, "what was done in the end answered what the robot showed after it had woken"
-        check_nothing_stale(ears)
+def test_a_robot_that_was_frozen_does_none_of_the_actions_that_came_meanwhile(watched: Watched, ears: Ears) -> None:
+    brain, bus, _ = watched
+    robot, optimizer = pid_of(brain, bus, "robot", "body"), pid_of(brain, bus, "optimizer", "action")
+    late = robots(brain, bus)["late"]
+    with frozen(optimizer):
+        ears.listen(0.3)
+        stood = stands(ears, 0.6)
+        os.kill(robot, signal.SIGSTOP)
+    try:  # the optimizer answers what the robot had shown before it froze, again and again
+        meanwhile = of(ears.listen(3.0), messages.Action)
+    finally:
+        os.kill(robot, signal.SIGCONT)
+    waiting = [action for action in meanwhile if action.iteration == stood]
+    assert len(waiting) >= 3, "actions came while it was frozen"
+    stale = max(action.stamp for action in waiting)
+    goes_on(ears)
+    assert robots(brain, bus)["late"] > late
+    done = [p.done for p in of(ears.heard, messages.Perception) if p.done is not None]
+    (first,) = {action.stamp for action in done if action.iteration == stood}
+    assert first > stale + 2.0, "what was done in the end answered what the robot showed after it had woken"
+    check_nothing_stale(ears)
 
 
 def check_nothing_stale(ears: Ears) -> None:
@@ -111,22 +132,20 @@ def check_nothing_stale(ears: Ears) -> None:
     assert late == []
 
 
-def test_a_frozen_memory_store_stops_the_robot_in_time_and_costs_no_pair(tmp_path: Path) -> None:
-    with Brain(tmp_path, *LONG, "robot.action_s=0") as brain, brain.bus() as bus:
-        ears = Ears(bus)
-        goes_on(ears)
-        with frozen(pid_of(brain, bus, "memory", "store")):
-            ears.listen(4.0)
-            ahead = of(ears.heard, messages.IterationReport)[-1].iteration - last_stored(ears)
-            assert 0 < ahead <= UNSTORED + 1
-        goes_on(ears, UNSTORED + 50)
-        optimizer = until(lambda: brain.status(bus, "optimizer", "action"))
-        assert isinstance(optimizer, messages.Status)
-        assert optimizer.values["lost"] == 0
-        acknowledged = {stored.iteration for stored in of(ears.heard, messages.PairStored)}
-        on_disk = stored_iterations(brain.run)
-        assert acknowledged <= set(on_disk)
-        assert on_disk == list(range(len(on_disk)))
+def test_a_frozen_memory_store_stops_the_robot_in_time_and_costs_no_pair(watched: Watched, ears: Ears) -> None:
+    brain, bus, _ = watched
+    with frozen(pid_of(brain, bus, "memory", "store")):
+        ears.listen(4.0)
+        ahead = of(ears.heard, messages.IterationReport)[-1].iteration - last_stored(ears)
+        assert 0 < ahead <= UNSTORED + 1
+    goes_on(ears, UNSTORED + 50)
+    optimizer = until(lambda: brain.status(bus, "optimizer", "action"))
+    assert isinstance(optimizer, messages.Status)
+    assert optimizer.values["lost"] == 0
+    acknowledged = {stored.iteration for stored in of(ears.heard, messages.PairStored)}
+    on_disk = stored_iterations(brain.run)
+    assert acknowledged <= set(on_disk)
+    assert on_disk == list(range(len(on_disk)))
 
 
 def last_stored(ears: Ears) -> int:
@@ -138,18 +157,16 @@ def last_stored(ears: Ears) -> int:
     [("evolver", "communication", 0.5), ("recorder", "log", 1.0), ("teacher", "script", 4.0)],
 )
 def test_who_is_frozen_holds_up_acting_for_a_bounded_time(
-    tmp_path: Path, role: str, instance: str, bound_s: float
+    watched: Watched, ears: Ears, role: str, instance: str, bound_s: float
 ) -> None:
     """A reader that takes nothing costs 0.3 s, a teacher the patience (2 s) until his token is gone (lease 2 s)."""
-    with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
-        ears = Ears(bus)
-        goes_on(ears)
-        began_s = ears.heard[-1].at_s
-        before = longest_gap_s(ears.heard, messages.IterationReport, ears.heard[0].at_s, began_s)
-        with frozen(pid_of(brain, bus, role, instance)):
-            ears.listen(5.0)
-        ended_s = ears.heard[-1].at_s
-        gap_s = longest_gap_s(ears.heard, messages.IterationReport, began_s, ended_s)
-        said = f"{role} frozen: longest gap {gap_s:.2f} s, before {before:.2f} s"
-        assert gap_s < bound_s + max(before, SCHEDULING_S), said
-        goes_on(ears)
+    brain, bus, _ = watched
+    began_s = ears.heard[-1].at_s
+    before = longest_gap_s(ears.heard, messages.IterationReport, ears.heard[0].at_s, began_s)
+    with frozen(pid_of(brain, bus, role, instance)):
+        ears.listen(5.0)
+    ended_s = ears.heard[-1].at_s
+    gap_s = longest_gap_s(ears.heard, messages.IterationReport, began_s, ended_s)
+    said = f"{role} frozen: longest gap {gap_s:.2f} s, before {before:.2f} s"
+    assert gap_s < bound_s + max(before, SCHEDULING_S), said
+    goes_on(ears)
