@@ -25,7 +25,7 @@ from mdb_protocol.messages import Status
 from mdb_protocol.zenoh_bus import ZenohBus
 
 QUERY_S = 2.0
-COLUMNS = ("service", "pid", "up", "msg/s", "queue", "behind", "refused", "dropped", "memory", "figures")
+COLUMNS = ("service", "pid", "up", "msg/s", "queue", "behind", "refused", "dropped", "memory")
 BEHIND = "behind"
 """A figure of this name, or that begins with it and a dot, is a number of versions."""
 
@@ -56,13 +56,19 @@ class Row:
         """Return the row of the table."""
         said = self.status
         if said is None:
-            return (self.name, *"?" * 8, self.silent)
-        figures = ", ".join(f"{k} {v:.4g}" for k, v in said.values.items() if k.partition(".")[0] != BEHIND)
+            return (self.name, *"?" * 8)
         return (
             self.name, str(said.pid), f"{said.uptime_s:.0f} s", f"{said.rate_hz:.1f}", str(said.queued),
             str(self.behind), str(sum(said.refused.values())), str(sum(said.dropped.values())),
-            f"{said.memory_bytes / 2**20:.0f} MB" if said.memory_bytes else "?", figures,
+            f"{said.memory_bytes / 2**20:.0f} MB" if said.memory_bytes else "?",
         )  # fmt: skip
+
+    def figures(self) -> str:
+        """Return a line of its own figures, or why it says nothing."""
+        if self.status is None:
+            return f"{self.name}: {self.silent}"
+        own = [f"{k} {v:.4g}" for k, v in self.status.values.items() if k.partition(".")[0] != BEHIND]
+        return f"{self.name}: {', '.join(own)}"
 
     def counts(self) -> list[str]:
         """Return a line for each key of which something was refused or dropped."""
@@ -128,10 +134,10 @@ def _print_json(rows: list[Row], brain: str, connect: str) -> None:
 def _table(rows: list[Row], where: str) -> RenderableType:
     if not rows:
         return f"nobody is alive in {where}"
-    table = Table(title=where)
+    table = Table(title=where, box=None, padding=(0, 1, 0, 0), pad_edge=False)  # fits a terminal of 80 columns
     for column in COLUMNS:
-        numbers = column not in ("service", "figures")
-        table.add_column(column, justify="right" if numbers else "left", no_wrap=numbers, overflow="fold")
+        table.add_column(column, justify="left" if column == "service" else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row.cells())
-    return Group(table, *(line for row in rows for line in row.counts()))
+    below = [row.figures() for row in rows] + [line for row in rows for line in row.counts()]
+    return Group(table, *below)
