@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 from mdb_protocol import messages as m
 from mdb_protocol.codec import MAX_BYTES
@@ -73,9 +74,14 @@ class Key:
 
     def match(self, brain: str, key: str) -> dict[str, str] | None:
         """Return the parameters in a full key of this row, or None when it is not one."""
-        pattern = PARAMETER.sub(r"(?P<\1>[A-Za-z0-9_.-]{1,64})", self.path)
-        found = re.fullmatch(f"{ROOT}/{re.escape(brain)}/{pattern}", key)
+        found = _pattern(self.path, brain).fullmatch(key)
         return found.groupdict() if found else None
+
+
+@lru_cache(maxsize=1024)
+def _pattern(path: str, brain: str) -> re.Pattern[str]:
+    pattern = PARAMETER.sub(r"(?P<\1>[A-Za-z0-9_.-]{1,64})", path)
+    return re.compile(f"{ROOT}/{re.escape(brain)}/{pattern}")
 
 
 PERCEPTION = Key("perception", m.Perception, "robot", Delivery.LATEST, "what the robot senses", teachers_read=True)
@@ -105,11 +111,9 @@ AUDIO = Key(
     "teacher/{teacher}/audio",
     m.AudioFrame,
     "that teacher",
-    Delivery.LATCHED,
+    Delivery.RELIABLE,
     "sound, in which notes are to be heard",
     most_bytes=2 * SMALL,
-    late_joiner="the last 32",
-    history=32,
 )
 HEARD = Key(
     "heard/{teacher}",

@@ -185,14 +185,15 @@ class Feedback(Message, frozen=True, kw_only=True):
 class AudioFrame(Message, frozen=True, kw_only=True):
     """A piece of what the teacher's microphone or instrument gives: samples (n,) of 16 bits, mono.
 
-    A note that begins in it is meant for the action of `iteration`. Frames follow one another without a gap;
-    `end` closes an utterance: if no note was in it, the teacher has stayed silent.
+    A note that begins in it is meant for the action of `iteration`. Frames follow one another without a gap.
+    `begin` opens an utterance and `end` closes it: if no note was in a whole one, the teacher has stayed silent.
     """
 
     teacher: Name
     iteration: Iteration
     rate_hz: Annotated[int, Meta(ge=8000, le=48000)]
     samples: np.ndarray
+    begin: bool = False
     end: bool = False
 
     def __post_init__(self) -> None:

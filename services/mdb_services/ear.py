@@ -35,6 +35,8 @@ class _Utterance:
     """From which sample on a note is meant for which iteration."""
     samples: int = 0
     notes: int = 0
+    whole: bool = False
+    """Whether it was heard from its beginning; of another, silence means nothing."""
 
     def take(self, frame: messages.AudioFrame) -> list[Heard]:
         """Return the notes that are certain with this frame."""
@@ -80,15 +82,15 @@ class Ear:
         started_s = time.perf_counter()
         self._make_room(frame.teacher)
         utterance = self._utterances.get(frame.teacher)
-        if utterance is None or utterance.detector.rate_hz != frame.rate_hz:
-            utterance = _Utterance(NoteDetector(self._config, frame.rate_hz))
+        if utterance is None or frame.begin or utterance.detector.rate_hz != frame.rate_hz:
+            utterance = _Utterance(NoteDetector(self._config, frame.rate_hz), whole=frame.begin)
         self._utterances[frame.teacher] = utterance
         rejected = utterance.detector.rejected
         for heard in utterance.take(frame):
             utterance.notes += 1
             self._say(frame.teacher, utterance.iteration_at(heard.began), heard.note)
         if frame.end:
-            if not utterance.notes:
+            if utterance.whole and not utterance.notes:
                 self._say(frame.teacher, frame.iteration, None)
             del self._utterances[frame.teacher]
         self._counts["frames"] += 1

@@ -201,6 +201,7 @@ class Player:
                 iteration=iteration,
                 rate_hz=self._section.rate_hz,
                 samples=samples[start : start + size],
+                begin=start == 0,
                 end=start == starts[-1],
             )
             for start in starts

@@ -165,6 +165,7 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         iteration=COUNTS,
         rate_hz=st.integers(8000, 48000),
         samples=hnp.arrays(np.int16, st.integers(0, 50)),
+        begin=st.booleans(),
         end=st.booleans(),
     ),
     messages.Phase: st.builds(messages.Phase, iteration=COUNTS, name=st.text(max_size=50), teacher=st.none() | NAMES),
