@@ -156,7 +156,7 @@ def _add_run(commands: Commands[argparse.ArgumentParser]) -> None:
     run.add_argument("--open-to-everyone", action="store_true", help=f"router: {OPEN_HELP}")
     run.add_argument("--model", help="evolver: the model it evolves")
     run.add_argument("--gui", action="store_true", help="robot: show the PyBullet window")
-    run.add_argument("--with-parent", action="store_true", help="stop when the parent process is gone")
+    run.add_argument("--with-parent", type=int, metavar="PID", help="stop when this, the parent process, is gone")
     run.set_defaults(command=_run)
     prepare = commands.add_parser("prepare", help="write the resolved experiment into a run folder")
     _add_experiment(prepare)
@@ -492,7 +492,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from mdb_deploy.processes import RouterOptions, ServiceOptions, run_router, run_service
     from mdb_services.service import Stopper
 
-    stop = Stopper(with_parent=arguments.with_parent)
+    stop = Stopper(arguments.with_parent)
     stop.install()
     if arguments.service == "router":
         options = RouterOptions(arguments.run, arguments.listen, arguments.keys, arguments.open_to_everyone)

@@ -8,12 +8,15 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import msgspec
+
 from mdb_deploy.processes import ENDPOINT_FILE
 from mdb_protocol.errors import ConfigError, MdbError
 from mdb_services import memory_rescue
 from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.memory_rescue import Salvage
-from mdb_sim.experiment import Experiment
+from mdb_sim.experiment import ROBOT_FILE, Experiment
+from mdb_sim.state_file import StateFile
 
 LEFT_BEHIND = (f"{MEMORY_FILE}*", ENDPOINT_FILE, "lock", "logs")
 
@@ -30,4 +33,15 @@ def rescue_run(run: Path, out: Path) -> Salvage:
     if out.exists():
         raise MdbError(f"{out} is there already; give a new place")
     shutil.copytree(run, out, ignore=shutil.ignore_patterns(*LEFT_BEHIND))
-    return memory_rescue.rescue(run / MEMORY_FILE, experiment.brain, out / MEMORY_FILE)
+    found = memory_rescue.rescue(run / MEMORY_FILE, experiment.brain, out / MEMORY_FILE)
+    if len(found.whole) < len(experiment.brain.model):
+        _forget_intention(StateFile(out / ROBOT_FILE))
+    return found
+
+
+def _forget_intention(file: StateFile) -> None:
+    """Let the robot's last action be one without a pair: it was meant with versions of memories that are no more."""
+    state = file.read()
+    if state is not None:
+        seen = msgspec.structs.replace(state.perception, done=None)
+        file.write(msgspec.structs.replace(state, perception=seen))

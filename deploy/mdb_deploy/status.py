@@ -45,11 +45,10 @@ class Row:
         return int(max((v for k, v in values if k.partition(".")[0] == BEHIND and math.isfinite(v)), default=0))
 
     def plain(self) -> dict[str, Any]:
-        """Return what is known as plain values; a figure that is not finite is None, for JSON has none such."""
+        """Return what is known as plain values; a number that is not finite is None, for JSON has none such."""
         if self.status is None:
             return {"service": self.name, "answers": False, "reason": self.silent}
-        said = codec.to_plain(self.status)
-        said["values"] = {k: v if math.isfinite(v) else None for k, v in said["values"].items()}
+        said = _finite(codec.to_plain(self.status))
         return {"service": self.name, "answers": True, "behind": self.behind, **said}
 
     def cells(self) -> tuple[str, ...]:
@@ -76,6 +75,14 @@ class Row:
             return []
         found = (("refused", self.status.refused), ("dropped", self.status.dropped))
         return [f"{self.name} {what} {n} of {key}" for what, by_key in found for key, n in sorted(by_key.items())]
+
+
+def _finite(plain: dict[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in plain.items():
+        bad = isinstance(value, float) and not math.isfinite(value)
+        found[name] = _finite(value) if isinstance(value, dict) else None if bad else value
+    return found
 
 
 def rows_of(bus: Bus) -> list[Row]:

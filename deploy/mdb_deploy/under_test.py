@@ -121,7 +121,15 @@ class BrainUnderTest:
 
     def _join(self) -> None:
         endpoint = (self.run / ENDPOINT_FILE).read_text(encoding="utf-8")
-        options = ["--connect", endpoint, "--brain", self.brain, "--out", str(self.witness_file)]
+        options = [
+            "--connect",
+            endpoint,
+            "--brain",
+            self.brain,
+            "--out",
+            str(self.witness_file),
+            f"--with-parent={os.getpid()}",
+        ]
         self._witness = subprocess.Popen([sys.executable, "-m", "mdb_deploy.witness", *options])
         self.bus = ZenohBus(self.brain, endpoint)
         self.bus.alive()

@@ -144,8 +144,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--connect", required=True)
     parser.add_argument("--brain", default="pioneer")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--with-parent", type=int, metavar="PID")
     arguments = parser.parse_args(argv)
-    stop = Stopper(with_parent=True)
+    stop = Stopper(arguments.with_parent)
     stop.install()
     try:
         with ZenohBus(arguments.brain, arguments.connect, connect_timeout_s=10.0) as bus:

@@ -248,6 +248,8 @@ def read(row: Key, brain: str, raw: Raw) -> Message:
     """
     if row.message is None:
         raise DecodeError(f"key {row.path} carries no payload")
+    if (size := size_of(raw)) > row.most_bytes:
+        raise DecodeError(f"sample of {size} bytes; at most {row.most_bytes} are read")
     parameters = row.match(brain, raw.key)
     if parameters is None:
         raise DecodeError(f"sample on {raw.key!r}; expected a concrete key of {row.path!r}")

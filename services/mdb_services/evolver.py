@@ -67,6 +67,8 @@ class Evolver:
         self._error = 0.0
         self._step_s = 0.0
         self._joined = False
+        self._ahead = 0
+        """The version of a change that did not follow, for which the memory store is asked; 0 when there is none."""
         self._missed: deque[messages.MemoryChange] = deque()
         self._every = config.evolver.checkpoint_every
         self._kept_version = 0
@@ -103,6 +105,12 @@ class Evolver:
             answers: list[messages.Resume] = self.bus.query(keys.RESUME, QUERY_S, model=self.instance)
             if not answers:
                 return False
+            if self._ahead > answers[0].memory.version:
+                reason = f"change to version {self._ahead}; the memory has {answers[0].memory.version}"
+                self.bus.refusals.add(keys.MEMORY_CHANGE.path, reason)
+            elif self._ahead:
+                log.info("missed a change; took the whole memory", model=self.instance, version=self._ahead)
+            self._ahead = 0
             self._resume(answers[0])
         except (QueryError, ValueError) as error:
             self.bus.refusals.add(keys.RESUME.path, f"no usable memory; asking again: {error}")
@@ -179,7 +187,7 @@ class Evolver:
             self._mirror.apply(Change(change.version, slots, ids, evicted, freed), change.inputs, change.targets)
             self._recall(change.seeds)
         except VersionGapError:
-            log.info("missed a change; asking for the whole memory", model=self.instance, version=change.version)
+            self._ahead = change.version
             self._joined = False
         except ValueError as error:
             self.bus.refusals.add(keys.MEMORY_CHANGE.path, f"asking for the whole memory: {error}")

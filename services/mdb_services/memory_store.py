@@ -19,6 +19,7 @@ from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus, Publisher
 from mdb_protocol.errors import DecodeError
 from mdb_services.config import BrainConfig
+from mdb_services.elsewhere import Elsewhere
 from mdb_services.mechanism.network import Network
 from mdb_services.memory_file import Effects, MemoryFile
 from mdb_services.model_memory import ModelMemory
@@ -26,6 +27,8 @@ from mdb_services.model_memory import ModelMemory
 log = structlog.get_logger()
 
 ROLE = "memory"
+FAR = 100
+"""Pairs that may be on their way together and overtake one another."""
 RETRY_S = 1.0
 """How often a disk that takes nothing is tried again."""
 
@@ -46,6 +49,7 @@ class MemoryStore:
         self._memories: dict[str, ModelMemory] = {}
         self._kept: dict[str, messages.CurrentModel] = {}
         self._duplicates = 0
+        self._elsewhere = Elsewhere()
         self._waiting: messages.Pair | None = None
         self._retry_s = 0.0
         """When to write again after the disk took nothing; 0 while it does."""
@@ -53,6 +57,8 @@ class MemoryStore:
         self._waiting_since_s = 0.0
         self._gave_up = 0
         self._restore()
+        if pairs := file.count():
+            log.info("memory restored", pairs=pairs, models=sorted(self._kept))
         self._begin()
         self._changes = {name: bus.publisher(keys.MEMORY_CHANGE, model=name) for name in self._memories}
         self._contexts = {name: bus.publisher(keys.CONTEXT, model=name) for name in self._memories}
@@ -81,12 +87,9 @@ class MemoryStore:
                 memory.restore(self._file)
             for model in self._file.models().values():
                 self._remember(model)
-            pairs = self._file.count()
             self._recalled_ids = count(self._file.lowest_recalled() - 1, -1)
         except (sqlite3.Error, DecodeError, ValueError) as error:
             raise self._file.unusable(error) from error
-        if pairs:
-            log.info("memory restored", pairs=pairs, models=sorted(self._kept))
 
     def _begin(self) -> None:
         """Take back models that were brought from another run, before the first pair."""
@@ -120,12 +123,19 @@ class MemoryStore:
         return moved
 
     def _could_be(self, pair: messages.Pair) -> bool:
-        """Whether this brain could have made a pair; what is not of this experiment is refused."""
+        """Whether this brain could have made a pair; what is not of this experiment is refused.
+
+        So is one from far ahead, unless it comes again and again, and no nearer one: then those between are lost.
+        """
         iterations, actions = self._config.experiment.iterations, self._config.optimizer.actions
+        due = self._file.next_iteration()
         if pair.iteration < iterations and pair.action < actions:
-            return True
+            if due <= pair.iteration <= due + FAR:
+                self._elsewhere.nearer()
+            if pair.iteration <= due + FAR or self._elsewhere.believed(pair.iteration, self._clock()):
+                return True
         reason = (
-            f"pair {pair.iteration} with action {pair.action}; there are {iterations} iterations, {actions} actions"
+            f"pair {pair.iteration} with action {pair.action}; due is {due} of {iterations}, of {actions} actions"
         )
         self.bus.refusals.add(keys.PAIR.path, reason)
         return False

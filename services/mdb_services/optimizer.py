@@ -272,7 +272,7 @@ class Optimizer:
         if iteration >= self._experiment.iterations:
             self._finishing_s = self._clock()
             return True
-        if self._most_unstored is not None and len(self._unacknowledged) > self._most_unstored:
+        if self._waits_for_store():
             return False
         if not self._command_is_in(cycle):
             return False
@@ -295,6 +295,10 @@ class Optimizer:
         cycle.acted_s = cycle.sent_s = self._clock()
         self._send_action(cycle)
         return True
+
+    def _waits_for_store(self) -> bool:
+        """Whether so much is not stored that the robot is not to act."""
+        return self._most_unstored is not None and len(self._unacknowledged) > self._most_unstored
 
     def _command_is_in(self, cycle: Cycle) -> bool:
         if self._teachers.settled(cycle.perception.iteration, self._alive()):
@@ -452,10 +456,13 @@ class Optimizer:
         return True
 
     def values(self) -> dict[str, float]:
-        """Iteration, pairs not acknowledged yet, pairs lost for want of a store, waits given up, versions behind."""
+        """Iteration, pairs without acknowledgement, whether acting waits for it, pairs lost, waits given up, versions
+        behind.
+        """
         gave_up = {f"gave_up.{what}": float(count) for what, count in self._gave_up.items()}
         waiting = float(len(self._unacknowledged))
         counts = {"iteration": float(self._next), "unacknowledged": waiting, "lost": float(self._lost)}
+        counts["waits_for_store"] = float(self._waits_for_store())
         have = self._models.versions
         behind = {f"behind.{name}": float(max(v - have.get(name, 0), 0)) for name, v in self._required.items()}
         return counts | gave_up | behind

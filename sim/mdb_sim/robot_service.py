@@ -4,8 +4,8 @@ Owns a body (`robot.Robot`). Does each iteration's action once, however often it
 over (a dead-man's switch): an action answers the newest perception by its stamp, which is this process's own time,
 so neither frozen processes nor clocks nor slow networks make an old action look young. A stamp from the future is
 none of this robot's. While it waits it shows the same perception again, with a new stamp. Until its first action it
-takes the brain's count of iterations, later only when the brain insists. Goes on after its death where it was. Never sees a model, a reward or a
-note: what the optimizer meant by an action travels through it unread.
+takes the brain's count of iterations, later only when the brain insists. Goes on after its death where it was. Never
+sees a model, a reward or a note: what the optimizer meant by an action travels through it unread.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ class RobotService:
         self._deadlines = deadlines
         self._elsewhere = Elsewhere()
         self._acted_s = 0.0
-        self._late = self._done = 0
+        self._late = self._done = self._unwritten = 0
+        self._refused = False
+        """Whether the disk did not take the last state."""
         self._perceptions = bus.publisher(keys.PERCEPTION)
         self._scenes = bus.publisher(keys.SCENE)
         self._actions = bus.subscriber(keys.ACTION)
@@ -144,7 +146,14 @@ class RobotService:
         try:
             self._file.write(self._state())
         except OSError as error:
-            self.bus.refusals.add(keys.ACTION.path, f"done, but the robot's state cannot be written: {error}")
+            if not self._refused:
+                log.error("the robot's state cannot be written; a death now costs its last steps", reason=str(error))
+            self._refused = True
+            self._unwritten += 1
+        else:
+            if self._refused:
+                log.info("the robot's state is written again", unwritten=self._unwritten)
+            self._refused = False
 
     def _state(self) -> messages.RobotState:
         last = self._last
@@ -178,9 +187,12 @@ class RobotService:
         return perception, scene
 
     def values(self) -> dict[str, float]:
-        """Iteration, captures, actions that came too late, and how long the last one took to simulate."""
+        """Iteration, captures, actions that came too late, states that the disk did not take and whether it takes
+        none now, and how long the last action took to simulate.
+        """
         last, late = self._last, float(self._late)
         counts = {"iteration": float(last.iteration), "captures": float(last.captures)}
+        counts |= {"unwritten": float(self._unwritten), "disk_refuses": float(self._refused)}
         return {**counts, "late": late, "act_s": self._acted_s}
 
     def close(self) -> None:

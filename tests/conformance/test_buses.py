@@ -309,6 +309,26 @@ def ask(bus: Bus, row: Key, **parameters: str) -> list[Message]:
     return answers
 
 
+def test_of_a_flood_of_queries_some_are_dropped_and_counted(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    from mdb_protocol import zenoh_bus
+
+    monkeypatch.setattr(zenoh_bus, "ASKED_KEPT", 5)
+    with zenoh_bus.ZenohBus("flood", endpoint) as bus, zenoh_bus.ZenohBus("flood", endpoint) as asker:
+        bus.queryable(keys.KEPT_MODEL, lambda: model(9), model="object")
+        with serving(bus):
+            ask(asker, keys.KEPT_MODEL, model="object")
+        threads = [
+            threading.Thread(target=lambda: asker.query(keys.KEPT_MODEL, BOUND_S, model="object")) for _ in range(20)
+        ]
+        for thread in threads:
+            thread.start()
+        until(bus, lambda: bus.refusals.dropped[keys.KEPT_MODEL.path] == 15)
+        bus.serve()
+        for thread in threads:
+            thread.join(BOUND_S)
+            assert not thread.is_alive()
+
+
 class serving:  # noqa: N801 - reads as a verb in `with serving(bus)`
     """A thread that answers a bus's queries meanwhile."""
 

@@ -1,5 +1,6 @@
 """Keys as a user works with them: commands, a router process, a whole brain."""
 
+import os
 import re
 import subprocess
 import sys
@@ -17,7 +18,17 @@ from tests.integration.brain import BRAIN, SHORT, mdb, until
 @contextmanager
 def router_process(run: Path, *words: str) -> Iterator[str]:
     """Run `mdb run router` and give where to connect."""
-    command = [sys.executable, "-m", "mdb_deploy.cli", "run", "router", "--run", str(run), *words, "--with-parent"]
+    command = [
+        sys.executable,
+        "-m",
+        "mdb_deploy.cli",
+        "run",
+        "router",
+        "--run",
+        str(run),
+        *words,
+        f"--with-parent={os.getpid()}",
+    ]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     endpoint = run / "router.endpoint"
     try:

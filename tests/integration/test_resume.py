@@ -20,7 +20,7 @@ from mdb_services.optimizer import Optimizer
 from mdb_services.recorder import read_log
 from mdb_services.service import Service, announce
 from mdb_sim.experiment import Experiment
-from tests.integration.brain import SHORT, Brain, mdb
+from tests.integration.brain import SHORT, Brain, mdb, until
 
 ROUNDS = 20_000
 """Bound on rounds of steps; a run takes about a thousand."""
@@ -119,6 +119,11 @@ def test_a_lockstep_run_with_deaths_is_the_one_without(tmp_path: Path, seed: int
     assert [pair["iteration"] for pair in broken["pairs"]] == list(range(80))
 
 
+def at_work_in(run: Path) -> list[int]:
+    """Processes that have this run folder in their command line, whoever their parent is by now."""
+    return [p.pid for p in psutil.process_iter(["cmdline"]) if str(run) in (p.info["cmdline"] or [])]
+
+
 def test_a_run_whose_every_process_was_killed_goes_on_to_the_same_end(tmp_path: Path) -> None:
     folder = tmp_path / "runs"
     folder.mkdir()
@@ -131,6 +136,7 @@ def test_a_run_whose_every_process_was_killed_goes_on_to_the_same_end(tmp_path: 
         for process in [*brain.children(), psutil.Process(brain.process.pid)]:
             process.kill()
         brain.process.wait(10.0)
+        until(lambda: not at_work_in(brain.run), 10.0)
         run = brain.run
     resumed = mdb("up", "--resume", str(run), "--listen", "tcp/127.0.0.1:0", "--no-plot")
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr

@@ -202,6 +202,23 @@ def test_after_a_lost_change_the_whole_memory_is_asked_for() -> None:
     assert rig.asked == 2
 
 
+def test_a_change_from_far_ahead_is_counted_and_nothing_of_it_is_taken() -> None:
+    rig = Rig()
+    rig.insert()
+    rig.settle()
+    population = rig.evolver._learner.state()
+    seed = messages.ModelWeights(layers=[2, 1, 1], weights=np.full(5, 1e6, np.float32))
+    for version in (rig.version + 2, 2**53):
+        rig.change(inputs=[[9.0, 9.0]], targets=[[9.0]], version=version, seeds=[seed])
+        assert rig.settle() == []
+    assert rig.evolver.bus.refusals.counts[keys.MEMORY_CHANGE.path] == 2
+    after = rig.evolver._learner.state()
+    assert all(np.array_equal(after[name], array) for name, array in population.items())
+    rig.insert()
+    (model,) = rig.settle()
+    assert model.version == 2
+
+
 def test_the_model_after_a_gap_is_that_of_the_population_not_an_older_kept_one() -> None:
     rig = Rig()
     rig.settle()

@@ -94,8 +94,8 @@ def test_what_can_be_read_of_a_damaged_file_goes_on_in_a_new_one(whole: Path, tm
     rig = Rig(out, settings())
     (progress,) = rig.outside.query(keys.PROGRESS, 1.0)
     assert progress.iteration == max(after, default=-1) + 1
-    rig.give(languages.pair(PAIRS, "A"))
-    assert [answer.iteration for answer in taken(rig.stored)] == [PAIRS]
+    rig.give(languages.pair(progress.iteration, "A"))
+    assert [answer.iteration for answer in taken(rig.stored)] == [progress.iteration]
     assert rig.snapshots()[languages.NAME]["version"] > 0
     rig.store.close()
 

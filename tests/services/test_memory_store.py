@@ -11,6 +11,7 @@ from mdb_protocol import codec, keys, messages
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.config import BrainConfig, brain_config
+from mdb_services.elsewhere import BELIEVED_AFTER_S
 from mdb_services.memory_file import MemoryFile
 from mdb_services.memory_store import RETRY_S, MemoryStore
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, pair
@@ -265,6 +266,22 @@ def test_pairs_that_this_experiment_cannot_have_are_refused(make_rig: MakeRig) -
     assert rig.store.bus.refusals.counts[keys.PAIR.path] == 3
     (progress,) = rig.outside.query(keys.PROGRESS, 1.0)
     assert progress.iteration == 2
+
+
+def test_a_pair_from_far_ahead_is_stored_only_when_it_comes_again_and_again(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.give(pair(0))
+    for i in range(30):
+        rig.give(pair(500), pair(i + 1))
+        rig.now += 0.1
+    assert [answer.iteration for answer in taken(rig.stored)] == list(range(31))
+    assert rig.store.bus.refusals.counts[keys.PAIR.path] == 30
+    rig.give(pair(131), pair(40), pair(31))
+    assert [answer.iteration for answer in taken(rig.stored)] == [131, 40, 31], "these may have overtaken one another"
+    rig.give(pair(500))
+    rig.now += BELIEVED_AFTER_S
+    rig.give(pair(500))
+    assert [answer.iteration for answer in taken(rig.stored)] == [500], "what is between is lost"
 
 
 def test_in_lockstep_a_pair_waits_for_the_models_it_was_acted_upon(make_rig: MakeRig) -> None:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
-from mdb_protocol import keys
+from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.service import FAILURES_IN_A_ROW, Stopper, run, run_inline
+from mdb_services.service import FAILURES_IN_A_ROW, Meter, Stopper, announce, run, run_inline
 
 BRAIN, BOUND_S = "test", 5.0
 
@@ -112,10 +112,11 @@ def test_sigterm_stops_a_service() -> None:
 
 
 def test_a_service_whose_parent_is_gone_stops(monkeypatch: pytest.MonkeyPatch) -> None:
-    stop = Stopper(with_parent=True)
+    stop = Stopper(os.getppid())
     assert not stop()
     monkeypatch.setattr(os, "getppid", lambda: 1)
     assert stop()
+    assert Stopper(os.getpid() + 1)(), "it was gone before the service had asked"
     assert not Stopper()()
 
 
@@ -137,6 +138,36 @@ def test_a_running_service_is_seen_and_says_how_it_does() -> None:
     assert status.values["steps"] >= 1
     assert asker.query(keys.STATUS, 1.0) == []
     assert asker.alive() == frozenset()
+
+
+def test_a_meter_tells_the_rate_of_the_last_seconds() -> None:
+    now, count = 0.0, 0
+    meter = Meter(lambda: count, clock=lambda: now)
+    assert meter.rate_hz() == 0.0
+    for hz in (100, 20):
+        for _ in range(200):
+            now, count = now + 0.05, count + hz // 20
+            meter.tick()
+        assert meter.rate_hz() == pytest.approx(hz, rel=0.1)
+    now += 1000.0
+    assert meter.rate_hz() < 1.0, "and of a service that was not asked for long"
+
+
+def test_a_status_tells_what_waits_what_was_dropped_and_how_much_memory_there_is() -> None:
+    fabric = Fabric()
+    probe = Probe(fabric, idle)
+    inbox = probe.bus.subscriber(keys.FINISHED)
+    announce(probe)
+    writer = MemoryBus(fabric, BRAIN)
+    for i in range(3):
+        writer.publisher(keys.FINISHED).put(messages.Finished(iterations=i))
+    probe.bus.refusals.drop(keys.PAIR.path, "for the test")
+    (status,) = writer.query(keys.STATUS, 1.0)
+    assert isinstance(status, messages.Status)
+    assert (status.queued, status.dropped) == (3, {keys.PAIR.path: 1})
+    assert status.memory_bytes > 2**20
+    assert inbox.take() is not None
+    assert probe.bus.taken() == 1
 
 
 def test_inline_services_step_in_turn_and_close_all_even_when_one_fails() -> None:

@@ -1,11 +1,13 @@
 """The robot service: each action is done once, and whatever else comes is answered or refused."""
 
+import errno
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
+from structlog.testing import capture_logs
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
@@ -283,6 +285,35 @@ def test_a_damaged_state_is_set_aside_and_the_robot_begins_anew(tmp_path: Path) 
     assert (tmp_path / "robot.damaged").exists()
     rig.act(0)
     assert StateFile(path).read() is not None
+
+
+class FullDisk(StateFile):
+    """A disk that takes nothing for a while."""
+
+    full = True
+
+    def write(self, state: messages.RobotState) -> None:
+        if self.full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        super().write(state)
+
+
+def test_a_robot_whose_disk_is_full_acts_and_says_so_once(tmp_path: Path) -> None:
+    file = FullDisk(tmp_path / "robot.state")
+    rig = Rig(file=file)
+    with capture_logs() as lines:
+        for i in range(5):
+            rig.act(i)
+        values = rig.service.values()
+        assert (values["unwritten"], values["disk_refuses"]) == (5.0, 1.0)
+        file.full = False
+        rig.act(5)
+    values = rig.service.values()
+    assert (values["unwritten"], values["disk_refuses"]) == (5.0, 0.0)
+    assert [line["log_level"] for line in lines] == ["error", "info"]
+    state = file.read()
+    assert state is not None
+    assert state.perception.iteration == 6
 
 
 def test_a_state_that_the_body_cannot_take_is_left(tmp_path: Path) -> None:
