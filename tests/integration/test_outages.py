@@ -154,6 +154,7 @@ def skew(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_set_an_hour_forward_and_back_changes_nothing(
     tmp_path: Path, skew: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -340,6 +341,7 @@ def test_a_damaged_memory_is_said_at_the_start_and_what_is_left_goes_on_in_anoth
     assert set(stored_iterations(new)) == {*saved, *range(80, 100)}
 
 
+@pytest.mark.slow
 def test_a_memory_that_is_damaged_while_its_store_is_dead_ends_the_run_with_the_reason(tmp_path: Path) -> None:
     with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
         ears = Ears(bus)
