@@ -145,15 +145,36 @@ def size_of(raw: Raw) -> int:
     return len(raw.payload) + len(raw.key) + len(raw.encoding)
 
 
-class Inbox:
+class Reader(ABC):
+    """What waits for one who reads it: what inboxes and taps have in common."""
+
+    def __init__(self, refusals: Refusals, wake: Wake, most: int) -> None:
+        self._refusals, self._wake = refusals, wake
+        self.waiting = Waiting(most)
+        self.taken = 0
+        """Samples taken so far, refused ones included."""
+
+    @abstractmethod
+    def take(self) -> Any:
+        """Return the next that is waiting, or None."""
+
+    def some(self) -> Iterator[Any]:
+        """Yield what can be taken, but of a flood only the first; `Bus.wait` then returns at once."""
+        for _ in range(AT_ONCE):
+            taken = self.take()
+            if taken is None:
+                return
+            yield taken
+        self._wake.set()
+
+
+class Inbox(Reader):
     """What came for one subscription and has not been taken yet; filled from any thread."""
 
     def __init__(self, row: Key, brain: str, refusals: Refusals, wake: Wake) -> None:
-        self._row, self._brain, self._refusals, self._wake = row, brain, refusals, wake
+        self._row, self._brain = row, brain
         self._latest = row.delivery is Delivery.LATEST
-        self.waiting = Waiting(LATEST_KEPT if self._latest else RELIABLE_KEPT)
-        self.taken = 0
-        """Samples taken so far, refused ones included."""
+        super().__init__(refusals, wake, LATEST_KEPT if self._latest else RELIABLE_KEPT)
 
     def put(self, raw: Raw) -> None:
         """Hand over a sample; called by the transport."""
@@ -182,15 +203,6 @@ class Inbox:
                 return None
         return None
 
-    def some(self) -> Iterator[Any]:
-        """Yield the valid messages, but of a flood only the first; `Bus.wait` then returns at once."""
-        for _ in range(AT_ONCE):
-            message = self.take()
-            if message is None:
-                return
-            yield message
-        self._wake.set()
-
     def _next(self) -> list[Raw]:
         """Take the oldest sample, or all of a latest-value key: what comes now stays."""
         return self.waiting.take(LATEST_KEPT if self._latest else 1)
@@ -203,13 +215,11 @@ class Inbox:
             return None
 
 
-class Tap:
+class Tap(Reader):
     """Every sample of a brain as it came, undecoded: for recorders."""
 
     def __init__(self, refusals: Refusals, wake: Wake) -> None:
-        self._refusals, self._wake = refusals, wake
-        self.waiting = Waiting(RELIABLE_KEPT)
-        self.taken = 0
+        super().__init__(refusals, wake, RELIABLE_KEPT)
 
     def put(self, raw: Raw) -> None:
         """Hand over a sample; called by the transport."""
@@ -222,15 +232,6 @@ class Tap:
         taken = self.waiting.take()
         self.taken += len(taken)
         return taken[0] if taken else None
-
-    def some(self) -> Iterator[Raw]:
-        """Yield the samples, but of a flood only the first; `Bus.wait` then returns at once."""
-        for _ in range(AT_ONCE):
-            raw = self.take()
-            if raw is None:
-                return
-            yield raw
-        self._wake.set()
 
 
 def pack(row: Key, message: Message) -> bytes:
@@ -268,7 +269,7 @@ class Bus(ABC):
         self.brain = brain
         self.refusals = Refusals()
         self._wake = Wake()
-        self._readers: list[Inbox | Tap] = []
+        self._readers: list[Reader] = []
 
     @abstractmethod
     def publisher(self, row: Key, **parameters: str) -> Publisher:

@@ -24,6 +24,7 @@ from mdb_services.mechanism.learners import Best, Learner, make_learner
 from mdb_services.mechanism.network import Network, Shape
 from mdb_services.mechanism.settings import DifferentialConfig, EvolutionConfig
 from mdb_services.mechanism.stm import Change, MemoryMirror, VersionGapError
+from mdb_services.snapshot import snapshot_of
 
 log = structlog.get_logger()
 
@@ -230,19 +231,14 @@ class Evolver:
         if sum(array.nbytes for array in state.values()) > MAX_BYTES / 2:
             self.bus.refusals.add(keys.CHECKPOINT.path, "the learner's state is too large to be kept")
             return
-        inputs, targets, ids = self._mirror.arrays()
-        version, slots = self._mirror.version, self._mirror.slots.astype(np.int64)
-        memory = messages.MemorySnapshot(
-            model=self.instance,
-            version=version,
-            slots=slots,
-            pairs=np.ascontiguousarray(ids, dtype=np.int64),
-            inputs=inputs,
-            targets=targets,
-        )
+        memory = snapshot_of(self.instance, self._mirror)
         self._checkpoints.put(
             messages.Checkpoint(
-                model=self.instance, version=version, generation=self._generations, state=state, memory=memory
+                model=self.instance,
+                version=memory.version,
+                generation=self._generations,
+                state=state,
+                memory=memory,
             )
         )
 

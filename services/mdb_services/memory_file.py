@@ -238,6 +238,14 @@ class MemoryFile:
         encoding = codec.encoding_of(messages.MemoryChange)
         return [codec.decode(messages.MemoryChange, payload, encoding) for (payload,) in rows]
 
+    def last_step(self, model: str) -> messages.MemoryChange | None:
+        """Return the last change of a model's memory, or None when none is kept."""
+        row = self._db.execute(
+            "SELECT payload FROM step WHERE model = ? ORDER BY version DESC LIMIT 1", (model,)
+        ).fetchone()
+        encoding = codec.encoding_of(messages.MemoryChange)
+        return codec.decode(messages.MemoryChange, row[0], encoding) if row else None
+
     def count(self) -> int:
         """Return how many pairs are on disk."""
         return int(self._db.execute("SELECT count(*) FROM pair").fetchone()[0])

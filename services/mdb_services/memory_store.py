@@ -76,7 +76,7 @@ class MemoryStore:
     def _repeat(self) -> None:
         """Publish each memory's last change again: it may be on disk only, if we died in between."""
         for name, publisher in self._changes.items():
-            for change in self._file.steps(name)[-1:]:
+            if (change := self._file.last_step(name)) is not None:
                 publisher.put(change)
 
     def _restore(self) -> None:

@@ -20,6 +20,7 @@ from mdb_services.mechanism.ltm import LongTermMemory, Stability, Stored, Trial,
 from mdb_services.mechanism.network import Floats, Network
 from mdb_services.mechanism.stm import Change, MemoryConfig, ShortTermMemory
 from mdb_services.memory_file import Context, Effects, MemoryFile
+from mdb_services.snapshot import snapshot_of
 
 Rows = tuple[Floats, Floats]
 Kind = Literal["changed", "known", "stored", "recalled"]
@@ -272,16 +273,7 @@ class ModelMemory:
 
     def snapshot(self) -> messages.MemorySnapshot:
         """Return the whole memory as a message."""
-        inputs, targets, ids = self.stm.arrays()
-        return messages.MemorySnapshot(
-            model=self.name,
-            version=self.stm.version,
-            slots=self.stm.slots.astype(np.int64),
-            pairs=np.ascontiguousarray(ids, dtype=np.int64),
-            inputs=inputs,
-            targets=targets,
-            seeds=self._seeds,
-        )
+        return snapshot_of(self.name, self.stm, self._seeds)
 
     def begin(self, recalled_ids: Iterator[int]) -> Effects | None:
         """Take back the most useful stored model with its sample when the memory has nothing yet; return the effects.

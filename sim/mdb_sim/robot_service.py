@@ -19,7 +19,8 @@ import structlog
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_services.elsewhere import Elsewhere
-from mdb_sim.robot import Placement, Pose, Robot, RobotError, Step
+from mdb_sim.placements import message_of, placement_of
+from mdb_sim.robot import Placement, Robot, RobotError, Step
 from mdb_sim.state_file import StateFile
 
 log = structlog.get_logger()
@@ -75,11 +76,11 @@ class RobotService:
         counts = {"episode": scene.episode, "captures": scene.captures}
         hidden = {"episode_age": state.episode_age, "unseen": state.unseen}
         try:
-            self._body.restore(_truth(scene.now), scene.iteration, seed=self._seed, **counts, **hidden)
+            self._body.restore(placement_of(scene.now), scene.iteration, seed=self._seed, **counts, **hidden)
         except RobotError as error:
             log.warning("the state does not fit the body; it begins anew", reason=str(error))
             return
-        now = _truth(scene.now)
+        now = placement_of(scene.now)
         seen = state.perception
         self._last = Step(scene.iteration, scene.event, now, seen.outcome, now, seen.reading, **counts, **hidden)
         self._perception, self._scene = seen, scene
@@ -180,9 +181,9 @@ class RobotService:
             captures=step.captures,
             event=step.event,
             action=action.action if action is not None else None,
-            before=_placement(before) if before else None,
-            reached=_placement(step.reached),
-            now=_placement(step.now),
+            before=message_of(before) if before else None,
+            reached=message_of(step.reached),
+            now=message_of(step.now),
         )
         return perception, scene
 
@@ -198,17 +199,3 @@ class RobotService:
     def close(self) -> None:
         """Free the body."""
         self._body.close()
-
-
-def _truth(seen: messages.Placement) -> Placement:
-    return Placement(Pose(seen.x_m, seen.y_m, seen.heading_rad), seen.object_x_m, seen.object_y_m)
-
-
-def _placement(placement: Placement) -> messages.Placement:
-    return messages.Placement(
-        x_m=placement.robot.x_m,
-        y_m=placement.robot.y_m,
-        heading_rad=placement.robot.heading_rad,
-        object_x_m=placement.object_x_m,
-        object_y_m=placement.object_y_m,
-    )

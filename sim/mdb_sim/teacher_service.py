@@ -12,7 +12,7 @@ import msgspec
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus, Publisher
-from mdb_sim.robot import Placement, Pose
+from mdb_sim.placements import placement_of
 from mdb_sim.schedule import Phase, Schedule
 from mdb_sim.sound import Player
 from mdb_sim.teacher import TeacherError
@@ -105,8 +105,3 @@ class ScriptedTeacher:
 
     def close(self) -> None:
         """Nothing to free."""
-
-
-def placement_of(seen: messages.Placement) -> Placement:
-    """Return where robot and object are, from the message that says so."""
-    return Placement(Pose(seen.x_m, seen.y_m, seen.heading_rad), seen.object_x_m, seen.object_y_m)

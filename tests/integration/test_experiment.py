@@ -9,6 +9,7 @@ from mdb_deploy.cli import experiment_path
 from mdb_protocol import keys
 from mdb_protocol.codec import to_plain
 from mdb_services.recorder import read_log
+from mdb_sim.compare import timeless
 from mdb_sim.experiment import Experiment
 from mdb_sim.inline import run_experiment
 from mdb_sim.replay import Run, replay, roles
@@ -22,9 +23,7 @@ def repeatable(run: Path) -> dict[str, list[dict[str, Any]]]:
     values: dict[str, list[dict[str, Any]]] = {}
     for recorded in read_log(run):
         if recorded.row.repeatable:
-            plain = to_plain(recorded.message)
-            for stamped in (plain, plain.get("done") or {}):
-                stamped.pop("stamp", None)
+            plain = to_plain(timeless(recorded.message))
             sequence = values.setdefault(recorded.key, [])
             if plain not in sequence[-3:]:
                 sequence.append(plain)

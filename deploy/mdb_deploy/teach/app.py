@@ -25,7 +25,7 @@ from mdb_deploy.teach.language import LanguageScreen
 from mdb_deploy.teach.session import TeachingSession
 from mdb_deploy.teach.view import View
 from mdb_services.service import run
-from mdb_sim.teacher_service import placement_of
+from mdb_sim.placements import placement_of
 
 REFRESH_S, POLL_S = 0.25, 0.05
 """The least time from one drawing to the next, and how often the session is asked for something new."""
