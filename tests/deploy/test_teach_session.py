@@ -11,7 +11,7 @@ from mdb_deploy.cli import experiment_path
 from mdb_deploy.teach import panel
 from mdb_deploy.teach.record import CAPTURES_IN, ERROR_MEAN, OBEDIENCE_OF
 from mdb_deploy.teach.session import WITHOUT_EFFECT, TeachingSession
-from mdb_deploy.teach.view import meaning, swapped
+from mdb_deploy.teach.view import View, meaning, swapped
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.ear import Ear
@@ -169,6 +169,29 @@ def test_in_a_pause_the_teacher_is_there_and_silent() -> None:
     assert rig.said() == []
     rig.command(5)
     assert rig.said() == [(3, 5)]
+
+
+def test_no_screen_sees_a_scene_before_what_was_said_to_it_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[View] = []
+
+    def published(session: TeachingSession, name: str, value: object) -> None:
+        if name == "view":
+            assert isinstance(value, View)
+            seen.append(value)
+        object.__setattr__(session, name, value)
+
+    monkeypatch.setattr(TeachingSession, "__setattr__", published)
+    rig = Rig()
+    rig.show(scene(0))
+    rig.session.pause()
+    rig.step()
+    seen.clear()
+    rig.show(scene(1))
+    assert seen
+    for view in seen:
+        spoken = {exchange.iteration for exchange in view.exchanges if exchange.spoke}
+        assert view.scene is not None
+        assert view.scene.iteration in spoken
 
 
 def test_presence_ends_with_the_bus() -> None:

@@ -2,7 +2,8 @@
 
 Owns the teacher's map from notes to meanings, which the brain never learns: from it alone come obedience and
 suggestions. A service like the others: its thread owns the bus; whoever has the keys and the screen calls
-`command`, `feedback`, `pause`, `speak` and `microphone`, which never wait, and reads `view`.
+`command`, `feedback`, `pause`, `speak` and `microphone`, which never wait, and reads `view`, which is renewed as a
+whole: no scene without what was said to it at once.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class TeachingSession:
     ) -> None:
         """Listen; presence begins with the token that `service.announce` declares."""
         self.bus, self.instance, self.world = bus, name, world or RobotConfig()
-        self.view = View(language)
+        self._view = self.view = View(language)
         self._auto, self._player, self._sounds, self._clock = auto, player, listens or player is not None, clock
         self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._record = Record(name)
@@ -106,14 +107,16 @@ class TeachingSession:
             moved = True
         if moved:
             self._show(**self._record.measures())
+        self.view = self._view  # before the router is asked, which may take its time
         alive = self.bus.alive()
         self._show(others=self._others(alive), trouble=self._trouble(alive))
+        self.view = self._view
         return moved
 
     def _show(self, **changes: Any) -> None:
-        """Replace the view, if anything in it is another now."""
-        if any(getattr(self.view, name) != value for name, value in changes.items()):
-            self.view = replace(self.view, **changes)
+        """Replace the view in the making, if anything in it is another now."""
+        if any(getattr(self._view, name) != value for name, value in changes.items()):
+            self._view = replace(self._view, **changes)
 
     def _receive(self) -> bool:
         moved = False
@@ -140,7 +143,7 @@ class TeachingSession:
 
     def _see(self, scene: messages.Scene) -> None:
         """Take in a new scene; in a pause and with `auto` it is answered here."""
-        last = self.view.scene
+        last = self._view.scene
         if last is not None and scene.iteration == last.iteration:
             return  # a robot that waits shows it again
         if last is not None and scene.iteration < last.iteration:  # another run, which counts anew
@@ -149,7 +152,7 @@ class TeachingSession:
         self._record.see(scene, self._clock())
         wanted = wanted_action(placement_of(scene.now), self.world.turns_rad)
         self._show(scene=scene, wanted=wanted, finished=False)
-        if self.view.paused:
+        if self._view.paused:
             self._command(None)
         elif self._auto:
             self._teach(scene, wanted)
@@ -160,10 +163,10 @@ class TeachingSession:
         if done.command is not None and done.feedback is None and scene.before and scene.action is not None:
             before = wanted_action(placement_of(scene.before), self.world.turns_rad)
             self._judge(done.iteration, graded_feedback(before, scene.action, self.world.turns_deg))
-        self._command(self.view.language.note(wanted))
+        self._command(self._view.language.note(wanted))
 
     def _command(self, note: int | None) -> None:
-        scene = self.view.scene
+        scene = self._view.scene
         if scene is None:
             self._notice("there is no scene yet to say anything about")
         elif self._record.exchange(scene.iteration).spoke:
@@ -181,7 +184,7 @@ class TeachingSession:
 
     def _remember(self, iteration: int, note: int | None) -> None:
         self._defer(iteration - 1)
-        command = None if note is None else self.view.language.command(note)
+        command = None if note is None else self._view.language.command(note)
         self._record.said(iteration, note, command, self._clock())
 
     def _defer(self, iteration: int) -> None:
@@ -191,8 +194,8 @@ class TeachingSession:
             self._feedback.put(messages.Feedback(teacher=self.instance, iteration=iteration, value=None))
 
     def _sound(self, samples: NDArray[np.int16], rate_hz: int) -> None:
-        scene = self.view.scene
-        if scene is not None and not self.view.paused:
+        scene = self._view.scene
+        if scene is not None and not self._view.paused:
             self._audio.put(
                 messages.AudioFrame(
                     teacher=self.instance, iteration=scene.iteration, rate_hz=rate_hz, samples=samples
@@ -202,7 +205,7 @@ class TeachingSession:
     def _be_heard(self, heard: messages.Command) -> None:
         """Learn what the ear made of the sound: of a microphone's, that is all that is known of the note."""
         said = self._record.exchange(heard.iteration)
-        if not said.spoke and heard.note is not None and heard.note < len(self.view.language.notes):
+        if not said.spoke and heard.note is not None and heard.note < len(self._view.language.notes):
             self._remember(heard.iteration, heard.note)
         elif said.spoke and said.note not in (None, heard.note):
             self._notice(
@@ -219,9 +222,9 @@ class TeachingSession:
             self._record.note_down(iteration, feedback=value)
 
     def _pause(self) -> None:
-        self._show(paused=not self.view.paused)
-        scene = self.view.scene
-        if self.view.paused and scene is not None and not self._record.exchange(scene.iteration).spoke:
+        self._show(paused=not self._view.paused)
+        scene = self._view.scene
+        if self._view.paused and scene is not None and not self._record.exchange(scene.iteration).spoke:
             self._say(scene.iteration, None)
 
     def _notice(self, text: str) -> None:
@@ -233,7 +236,7 @@ class TeachingSession:
 
     def _trouble(self, alive: frozenset[str]) -> str | None:
         """Say why nothing that this teacher says can come through, or has; None also when all is over."""
-        if self.view.finished:
+        if self._view.finished:
             return None
         if f"{ROLE}/{self.instance}" not in alive:
             self._admitted = None
@@ -249,7 +252,7 @@ class TeachingSession:
 
     def _unheard(self) -> str:
         """Say why reports do not show this teacher's commands."""
-        holder = self.view.report.holder if self.view.report else None
+        holder = self._view.report.holder if self._view.report else None
         if holder not in (None, self.instance):
             return f"{holder} holds the word: the brain does not hear your commands until {holder} is silent or gone"
         return (
@@ -268,7 +271,7 @@ class TeachingSession:
 
     def values(self) -> dict[str, float]:
         """Last iteration seen, obedience (-1: nothing commanded yet) and the commands it is the share of."""
-        view = self.view
+        view = self._view
         return {
             "iteration": float(view.scene.iteration if view.scene else -1),
             "commands": float(view.judged),
