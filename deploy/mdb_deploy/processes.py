@@ -134,13 +134,19 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
     }
     if name not in builders:
         raise ConfigError(f"no service {name!r}; there are router, {', '.join(builders)}")
-    bus = ZenohBus(
-        experiment.brain.experiment.brain,
-        options.connect,
-        credentials=options.keys,
-        connect_timeout_s=CONNECT_S,
-        lossless=experiment.brain.lockstep,
-    )
+    try:
+        bus = ZenohBus(
+            experiment.brain.experiment.brain,
+            options.connect,
+            credentials=options.keys,
+            connect_timeout_s=CONNECT_S,
+            give_up=stop,
+            lossless=experiment.brain.lockstep,
+        )
+    except BusError:
+        if stop():
+            return
+        raise
     try:
         service = builders[name](bus)
     except BaseException:

@@ -54,19 +54,20 @@ class ZenohBus(Bus):
         *,
         credentials: Path | None = None,
         connect_timeout_s: float = 5.0,
+        give_up: Callable[[], bool] = lambda: False,
         lossless: bool = False,
     ) -> None:
         """Join the router at `connect`; BusError when none answers within the bound, or it refuses.
 
         `credentials` is a bundle of `mdb keys`, or a key folder, of which the brain's own is taken: what a router
-        at `tls/...` or `quic/...` wants to see. `lossless` makes latest-value publishers wait instead of dropping
-        (lockstep runs).
+        at `tls/...` or `quic/...` wants to see. When `give_up` gives true, the bound is over. `lossless` makes
+        latest-value publishers wait instead of dropping (lockstep runs).
         """
         super().__init__(brain)
         self._lossless = lossless
         self._connect = connect
         self._bundle = _bundle(brain, connect, credentials)
-        self._session = _open_client(connect, self._bundle, connect_timeout_s)
+        self._session = _open_client(connect, self._bundle, connect_timeout_s, give_up)
         self._declared: list[Any] = []
         self._asked: SimpleQueue[tuple[Key, Callable[[], Message | None], zenoh.Query]] = SimpleQueue()
         self._alive: set[str] | None = None
@@ -263,7 +264,9 @@ def _bundle(brain: str, connect: str, credentials: Path | None) -> Bundle | None
     return None if credentials is None else Bundle.find(credentials, brain)
 
 
-def _open_client(connect: str, bundle: Bundle | None, timeout_s: float) -> zenoh.Session:
+def _open_client(
+    connect: str, bundle: Bundle | None, timeout_s: float, give_up: Callable[[], bool] = lambda: False
+) -> zenoh.Session:
     config = zenoh.Config.from_json5(
         json.dumps(
             {
@@ -297,7 +300,7 @@ def _open_client(connect: str, bundle: Bundle | None, timeout_s: float) -> zenoh
             reason = why_refused(endpoints.parse(connect), bundle)
             if reason is not None and bundle is not None:
                 raise BusError(f"the router at {connect} cannot be used: {reason}") from error
-            if time.monotonic() >= deadline:
+            if time.monotonic() >= deadline or give_up():
                 said = reason or (QUIC_SAYS if connect.startswith("quic/") else _first_line(error))
                 raise BusError(
                     f"no router answers at {connect} within {timeout_s:g} s ({said}). Start "

@@ -51,6 +51,17 @@ PATIENT = (
 )
 
 
+@pytest.fixture(autouse=True)
+def _never_idle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Textual's pilot waits up to a second after each key until the process idles: one with a bus never does."""
+
+    async def moment(*_: float) -> None:
+        await asyncio.sleep(0.0)
+
+    for module in ("textual.app", "textual.pilot"):
+        monkeypatch.setattr(f"{module}.wait_for_idle", moment)
+
+
 @pytest.fixture(scope="module")
 def brain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Brain]:
     """`mdb up --no-teacher`: it begins when a teacher has come, and waits for each of his words."""

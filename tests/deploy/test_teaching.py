@@ -4,11 +4,13 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import sqlite3
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -38,10 +40,10 @@ def words(command: list[str], endpoint: str = ENDPOINT) -> list[str]:
 class Up:
     """The brain of step 1, in a folder of its own."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *more: str) -> None:
         folder.mkdir()
         self.folder, self.log = folder, folder / "up.log"
-        command = [*words(BRAIN), *FAST, "--listen", "tcp/127.0.0.1:0"]
+        command = [*words(BRAIN), *FAST, "--listen", "tcp/127.0.0.1:0", *more]
         with self.log.open("wb") as out:
             self.process = subprocess.Popen(command, cwd=folder, stdout=out, stderr=subprocess.STDOUT)
         self.endpoint = str(until(self._endpoint))
@@ -56,19 +58,40 @@ class Up:
         found = list(self.folder.glob("runs/*/router.endpoint"))
         return found[0].read_text() if found else ""
 
-    def teach(self, change: Callable[[str], str] = lambda script: script, until_iteration: int | None = None) -> None:
-        """Run `teacher.py` to its end, changed as the tutorial says."""
+    def command(self, change: Callable[[str], str]) -> list[str]:
+        """The tutorial's words for a teacher, whose script is changed as the tutorial says."""
         script = self.folder / "teacher.py"
         script.write_text(change((EXAMPLES / "teacher.py").read_text()))
-        command = words(TEACHER, self.endpoint)
-        if until_iteration is not None:
-            command[-1] = str(until_iteration)
+        return words(TEACHER, self.endpoint)
+
+    def teach(self, change: Callable[[str], str] = lambda script: script) -> None:
+        """Run `teacher.py` to its end."""
+        command = self.command(change)
         done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, timeout=BOUND_S, check=False)
         assert done.returncode == 0, done.stderr
+
+    @contextmanager
+    def teacher(self, change: Callable[[str], str]) -> Iterator[None]:
+        """`teacher.py` for as long as it is needed."""
+        *command, _lessons = self.command(change)
+        with subprocess.Popen([*command, str(10**9)], cwd=self.folder) as process:
+            try:
+                yield
+            finally:
+                process.terminate()
 
     def finish(self) -> list[messages.IterationReport]:
         """Wait for the end of the experiment; return what was done in each iteration."""
         assert self.process.wait(BOUND_S) == 0, self.log.read_text()
+        return self.done()
+
+    def interrupt(self) -> list[messages.IterationReport]:
+        """Press Ctrl-C; return what was done in each iteration."""
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(BOUND_S) == 130, self.log.read_text()
+        return self.done()
+
+    def done(self) -> list[messages.IterationReport]:
         found = {r.message.iteration: r.message for r in read_log(self.run) if r.row is keys.ITERATION}  # type: ignore[attr-defined]
         return [found[i] for i in sorted(found)]  # type: ignore[misc]
 
@@ -97,7 +120,7 @@ def another_language(script: str) -> str:
 
 
 def test_steps_1_to_4_a_language_then_alone_then_another_language(tmp_path: Path) -> None:
-    with Up(tmp_path / "brain") as brain:
+    with Up(tmp_path / "brain", "--iterations", "100000") as brain:
         with ZenohBus("pioneer", brain.endpoint) as bus:
             reports = bus.subscriber(keys.ITERATION)
             bus.wait(0.2)
@@ -111,23 +134,24 @@ def test_steps_1_to_4_a_language_then_alone_then_another_language(tmp_path: Path
             check=False,
         )
         assert "optimizer" in shown.stdout
+        heard: list[messages.IterationReport] = []
         with ZenohBus("pioneer", brain.endpoint) as bus:
             reports = bus.subscriber(keys.ITERATION)
-            newest = 500
 
-            def alone() -> bool:
-                nonlocal newest
+            def by(teacher: str | None) -> int:
                 bus.wait(0.05)
-                while (report := reports.take()) is not None:
-                    newest = report.iteration
-                return newest >= 700
+                heard.extend(reports.some())
+                return sum(report.teacher == teacher for report in heard)
 
-            until(alone)
-        brain.teach(another_language, until_iteration=newest + 300)
-        done = brain.finish()
+            until(lambda: by(None) >= 200)
+            newest = heard[-1].iteration
+            heard.clear()
+            with brain.teacher(another_language):
+                until(lambda: by("ann") >= 300)
+        done = brain.interrupt()
     assert {r.teacher for r in done[5:500]} == {"ann"}
     assert rewards(done[300:500]) > 0.8, "it obeys"
-    left = [r for r in done[520:700] if r.teacher is None]
+    left = [r for r in done[520 : newest + 1] if r.teacher is None]
     assert {r.mode for r in left} >= {"induced"}
     assert events(left)["capture"] >= len(left) * 0.08, "at random it is 1.5 in 100, at best 23"
     again = [r for r in done if r.iteration > newest and r.teacher == "ann"]

@@ -100,7 +100,7 @@ def test_a_stopped_reader_holds_up_nobody_for_long(tmp_path: Path) -> None:
         def gaps() -> dict[str, float]:
             ears.heard.clear()
             began_s = time.monotonic()
-            ears.listen(4.0)
+            ears.listen(2.5)
             return {k.__name__: longest_gap_s(ears.heard, k, began_s, time.monotonic()) for k in kinds}
 
         with listener(brain, bus) as process, loud_teacher(brain):
@@ -244,7 +244,7 @@ def fill(place: Path) -> Path:
             return filler
 
 
-@pytest.mark.parametrize("when_full", ["stop", "act"])
+@pytest.mark.parametrize("when_full", ["stop", pytest.param("act", marks=pytest.mark.slow)])
 def test_a_full_disk_is_said_costs_nothing_acknowledged_and_is_over_when_there_is_room(
     small_disk: Path, when_full: str
 ) -> None:
@@ -310,11 +310,12 @@ def garbage_in_the_middle(content: bytearray) -> bytes:
 @pytest.mark.parametrize(
     "spoil",
     [
-        lambda content: bytes(content[: len(content) // 2]),
-        garbage_in_the_middle,
-        lambda content: os.urandom(100) + bytes(content[100:]),
+        pytest.param(lambda content: bytes(content[: len(content) // 2]), id="truncated", marks=pytest.mark.slow),
+        pytest.param(garbage_in_the_middle, id="garbage in the middle"),
+        pytest.param(
+            lambda content: os.urandom(100) + bytes(content[100:]), id="garbage header", marks=pytest.mark.slow
+        ),
     ],
-    ids=["truncated", "garbage in the middle", "garbage header"],
 )
 def test_a_damaged_memory_is_said_at_the_start_and_what_is_left_goes_on_in_another_run(
     finished_run: Path, tmp_path: Path, spoil: object

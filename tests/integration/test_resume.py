@@ -133,10 +133,10 @@ def test_a_run_whose_every_process_was_killed_goes_on_to_the_same_end(tmp_path: 
             bus.wait(1.0)
             while (report := reports.take()) is not None:
                 seen = report.iteration
-        for process in [*brain.children(), psutil.Process(brain.process.pid)]:
+        for process in [psutil.Process(brain.process.pid), *brain.children()]:
             process.kill()
         brain.process.wait(10.0)
-        until(lambda: not at_work_in(brain.run), 10.0)
+        until(lambda: not at_work_in(brain.run))
         run = brain.run
     resumed = mdb("up", "--resume", str(run), "--listen", "tcp/127.0.0.1:0", "--no-plot")
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr

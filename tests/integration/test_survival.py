@@ -2,15 +2,20 @@
 
 import json
 import os
+import re
 import signal
+import socket
+import subprocess
+import sys
 from pathlib import Path
 
+import pytest
 import zenoh
 
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import Inbox
 from mdb_protocol.zenoh_bus import ZenohBus
-from tests.integration.brain import Brain, until
+from tests.integration.brain import Brain, mdb, until
 
 LONG = ("experiment.iterations=100000", "teacher.phase.alone.start=90000", "teacher.phase.second teacher.start=90001",
         "teacher.phase.alone again.start=90002")  # fmt: skip
@@ -121,6 +126,37 @@ def test_children_stop_when_their_runner_is_killed(tmp_path: Path) -> None:
         children = brain.children()
         brain.process.kill()
         until(lambda: not [child for child in children if child.is_running()], 10.0)
+
+
+@pytest.mark.parametrize("told", ["sigterm", "parent gone"])
+def test_a_service_that_waits_for_its_router_stops_when_it_is_told_to(tmp_path: Path, told: str) -> None:
+    run = tmp_path / "run"
+    assert mdb("prepare", "paper", "--run", str(run)).returncode == 0
+    nowhere = f"tcp/127.0.0.1:{free_port()}"
+    parent = 1 if told == "parent gone" else os.getpid()
+    words = ["run", "robot", "--run", str(run), "--connect", nowhere, f"--with-parent={parent}"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "mdb_deploy.cli", *words], stderr=subprocess.PIPE, text=True
+    ) as robot:
+        if told == "sigterm":
+            until(lambda: installed(robot.pid))
+            robot.send_signal(signal.SIGTERM)
+        _, said = robot.communicate(timeout=60.0)
+    assert robot.returncode == 0, said
+    assert "no router answers" not in said
+
+
+def free_port() -> int:
+    """A port at which nobody listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def installed(pid: int) -> bool:
+    """Whether a process handles SIGTERM by now."""
+    (caught,) = re.findall(r"SigCgt:\s*(\w+)", Path(f"/proc/{pid}/status").read_text())
+    return bool(int(caught, 16) >> (signal.SIGTERM - 1) & 1)
 
 
 def test_killed_router_comes_back_where_it_was_and_the_run_goes_on(tmp_path: Path) -> None:

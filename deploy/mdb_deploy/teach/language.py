@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 import time
-from typing import ClassVar
 
 from rich.text import Text
 from textual import events
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from mdb_deploy.teach.keyboard import DIGITS, FULL, NOTE_KEYS
+from mdb_deploy.teach.keyboard import NOTE_KEYS
 from mdb_deploy.teach.session import TeachingSession
 from mdb_deploy.teach.view import meaning, swapped
 from mdb_sim.teacher import Language, make_language
 
 TITLE, FAINT = "bold", "not bold grey50"
+MOVES = {"up": -1, "down": 1}
+LEAVING = ("escape", "enter", "l", "q")
+WHOLE = {"o": "ordered", "r": "random"}
+"""The keys of a whole language."""
 
 
 class LanguageScreen(ModalScreen[None]):
     """Which note means what: choose a meaning, press the key of the note that shall say it; the two swap."""
-
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("up", "move(-1)"),
-        Binding("down", "move(1)"),
-        Binding("escape,enter,l,q", "dismiss"),
-        Binding("o", "choose('ordered')"),
-        Binding("r", "choose('random')"),
-    ]
 
     def __init__(self, session: TeachingSession) -> None:
         super().__init__()
@@ -57,22 +51,24 @@ class LanguageScreen(ModalScreen[None]):
         text.append("o ordered   r at random   enter: back", FAINT)
         self.query_one("#language", Static).update(text)
 
-    def action_move(self, by: int) -> None:
-        """Choose another meaning."""
-        self._row = (self._row + by) % len(self._order)
-        self._draw()
-
-    def action_choose(self, name: str) -> None:
-        """Take a whole language."""
-        self._speak(make_language(f"random:{time.time_ns()}" if name == "random" else name, self._turns))
-
     def on_key(self, event: events.Key) -> None:
-        """A note key gives its note to the chosen meaning; none, nor feedback, goes on to the lesson below."""
+        """A note key gives its note to the chosen meaning; no key of letters or digits goes on to the lesson below.
+
+        Every key is dealt with here: an action of a binding would come after the next key of several typed at once.
+        """
         character = event.character or "?"
-        if character in NOTE_KEYS or character in DIGITS or character in FULL:
-            event.stop()
-        if 0 <= (note := NOTE_KEYS.find(character)) < len(self._turns):
+        if event.key in MOVES:
+            self._row = (self._row + MOVES[event.key]) % len(self._order)
+            self._draw()
+        elif event.key in LEAVING:
+            self.dismiss()
+        elif character in WHOLE:
+            name = WHOLE[character]
+            self._speak(make_language(f"random:{time.time_ns()}" if name == "random" else name, self._turns))
+        elif 0 <= (note := NOTE_KEYS.find(character)) < len(self._turns):
             self._speak(swapped(self._language, self._order[self._row], note))
+        if event.is_printable:
+            event.stop()
 
     def _speak(self, language: Language) -> None:
         self._language = language
