@@ -34,6 +34,7 @@ def test_the_extras_are_those_that_pyproject_names() -> None:
     assert base == {"eclipse-zenoh", "msgpack", "msgspec", "numpy", "structlog"}
 
 
+@pytest.mark.long
 def test_a_scripted_teacher_needs_the_base_packages_only() -> None:
     script = ROOT / "deploy" / "examples" / "teacher.py"
     done = run(f"import runpy; runpy.run_path({str(script)!r})", "tcp/127.0.0.1:1", "1")

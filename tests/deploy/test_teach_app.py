@@ -368,6 +368,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.long
 def test_a_laptop_needs_only_the_extra_teach() -> None:
     """All that `mdb teach` imports is imported before it finds that nobody answers."""
     words = ["teach", "--connect", "tcp/127.0.0.1:1", "--name", "ann", "--language", "random:3"]

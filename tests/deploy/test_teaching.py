@@ -21,6 +21,8 @@ from mdb_services.config import MEMORY_FILE
 from mdb_services.recorder import read_log
 from tests.integration.brain import until
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 TUTORIAL = (EXAMPLES / "TEACHING.md").read_text()
 ENDPOINT = "tcp/127.0.0.1:7447"

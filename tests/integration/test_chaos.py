@@ -20,6 +20,8 @@ from mdb_sim.record import read_record
 from mdb_sim.state_file import StateFile
 from tests.integration.brain import SHORT
 
+pytestmark = pytest.mark.long
+
 PAPER = experiment_path("paper")
 BOUND_S = 30.0
 """On a loaded machine; how long recovery takes is measured by `mdb chaos`, not here."""

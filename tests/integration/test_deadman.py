@@ -14,6 +14,8 @@ from tests.integration.brain import Brain, until
 from tests.integration.ears import Ears, frozen, longest_gap_s, of, stored_iterations
 from tests.integration.test_survival import LONG
 
+pytestmark = pytest.mark.long
+
 VALID_S = 1.0
 """`optimizer.action_valid_s` of the experiment."""
 SCHEDULING_S = 0.5

@@ -75,6 +75,7 @@ def test_lockstep_processes_log_what_one_process_logs(body: str, tmp_path: Path,
     check_replay(brain.run)
 
 
+@pytest.mark.long
 def test_lockstep_processes_change_context_as_one_process_does(tmp_path: Path) -> None:
     run_experiment(Experiment.read(EXPERIMENT, [*SHORT, *RESTLESS, "experiment.pace=lockstep"]), tmp_path / "inline")
     folder = tmp_path / "processes"
@@ -110,6 +111,7 @@ def test_pairs_without_teacher_leave_the_communication_memory_alone(inline_run: 
     assert alone, "the object model learns on without a teacher"
 
 
+@pytest.mark.long
 def test_concurrent_experiment_runs_to_its_end(tmp_path: Path) -> None:
     with Brain(tmp_path) as brain:
         assert brain.wait() == 0, brain.output()

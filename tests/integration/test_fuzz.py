@@ -24,6 +24,8 @@ from tests.integration.brain import BRAIN, Brain, until
 from tests.integration.junk import Maker
 from tests.integration.test_survival import LONG
 
+pytestmark = pytest.mark.long
+
 ROUNDS = 14
 AT_ONCE = 250
 """Messages sent before the recorder has to have counted them, so that none is lost on the way."""

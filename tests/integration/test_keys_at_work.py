@@ -87,6 +87,7 @@ def test_a_running_router_admits_and_removes_teachers(tmp_path: Path) -> None:
             bus.close()
 
 
+@pytest.mark.long
 def test_a_whole_brain_runs_with_keys_and_goes_on_when_a_teacher_is_added(tmp_path: Path) -> None:
     folder, runs = tmp_path / "keys", tmp_path / "runs"
     made("init", str(folder))

@@ -35,6 +35,8 @@ HOUR_S = 3600
 LISTENER = """
 import sys
 from mdb_protocol.zenoh_bus import Router, ZenohBus
+
+pytestmark = pytest.mark.long
 with ZenohBus("pioneer", sys.argv[1]) as bus:
     tap = bus.tap()
     bus.token("viewer", "listener")

@@ -25,7 +25,7 @@ from tests.integration.namespaces import HERE, Namespaces, why_not
 from tests.integration.test_survival import LONG
 
 WHY_NOT = why_not()
-pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
+pytestmark = [pytest.mark.long, pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")]
 
 cut_s = pytest.mark.parametrize("cut_s", [3.0, pytest.param(10.0, marks=pytest.mark.slow)])
 MDB = (sys.executable, "-m", "mdb_deploy.cli")

@@ -124,6 +124,7 @@ def at_work_in(run: Path) -> list[int]:
     return [p.pid for p in psutil.process_iter(["cmdline"]) if str(run) in (p.info["cmdline"] or [])]
 
 
+@pytest.mark.long
 def test_a_run_whose_every_process_was_killed_goes_on_to_the_same_end(tmp_path: Path) -> None:
     folder = tmp_path / "runs"
     folder.mkdir()
@@ -149,6 +150,7 @@ def test_a_run_whose_every_process_was_killed_goes_on_to_the_same_end(tmp_path: 
     assert 80 - len(logged) <= 2, "of what was on its way to the recorder when it died one report may be missing"
 
 
+@pytest.mark.long
 def test_a_folder_in_which_a_brain_runs_is_not_taken(tmp_path: Path) -> None:
     with Brain(tmp_path, "experiment.iterations=100000") as brain, brain.bus():
         second = mdb("up", "--resume", str(brain.run), "--listen", "tcp/127.0.0.1:0")

@@ -5,6 +5,8 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from mdb_deploy.cli import experiment_path
 from mdb_protocol import keys
 from mdb_protocol.codec import to_plain
@@ -13,6 +15,8 @@ from mdb_services.recorder import read_log
 from mdb_sim.experiment import Experiment
 from mdb_sim.inline import run_experiment
 from tests.integration.brain import SHORT, Brain, until
+
+pytestmark = pytest.mark.long
 
 SOUND = ("ear.detector=template", "teacher.sound.instrument=piano", "teacher.sound.snr_db=15")
 

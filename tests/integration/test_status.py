@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from mdb_protocol import keys, messages
 from tests.integration.brain import Brain, mdb, until
 from tests.integration.ears import frozen
@@ -50,6 +52,7 @@ def test_status_tells_how_each_service_does(tmp_path: Path) -> None:
         assert rows["optimizer/action"]["answers"]
 
 
+@pytest.mark.long
 def test_status_is_told_again_and_again_until_interrupted(tmp_path: Path) -> None:
     with Brain(tmp_path, *LONG) as brain, brain.bus():
         words = ["status", "--json", "--watch", "0.2", "--connect", (brain.run / "router.endpoint").read_text()]

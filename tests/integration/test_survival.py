@@ -45,6 +45,7 @@ def iteration_after(bus: ZenohBus, inbox: Inbox, more: int) -> int:
     return newest
 
 
+@pytest.mark.long
 def test_late_joiner_gets_models_from_the_living_and_of_the_dead(tmp_path: Path) -> None:
     with Brain(tmp_path, *LONG) as brain, brain.bus() as early:
         iteration_after(early, early.subscriber(keys.ITERATION), 5)
@@ -59,6 +60,7 @@ def test_late_joiner_gets_models_from_the_living_and_of_the_dead(tmp_path: Path)
         assert kept[0].version >= model.version
 
 
+@pytest.mark.long
 def test_killed_evolver_comes_back_and_goes_on(tmp_path: Path) -> None:
     with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
         reports, models = bus.subscriber(keys.ITERATION), bus.subscriber(keys.CURRENT_MODEL, model="communication")
@@ -79,6 +81,7 @@ def test_killed_evolver_comes_back_and_goes_on(tmp_path: Path) -> None:
         iteration_after(bus, reports, 10)
 
 
+@pytest.mark.long
 def test_junk_on_every_key_is_counted_and_survived(tmp_path: Path) -> None:
     junk = [b"", b"\x00", b"\xff" * 100, b"not msgpack at all", b"\x81\xa9iteration\xff", os.urandom(4096)]
     names = {"teacher": "one", "model": "object", "role": "robot", "instance": "body"}
@@ -120,6 +123,7 @@ def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
         assert not [child for child in children if child.is_running()]
 
 
+@pytest.mark.long
 def test_children_stop_when_their_runner_is_killed(tmp_path: Path) -> None:
     with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
         iteration_after(bus, bus.subscriber(keys.ITERATION), 3)
