@@ -217,6 +217,10 @@ class ModelMemory:
         stored, effects.forgotten = self._ltm.store(self.network, inputs[chosen], targets[chosen], self.stm.version)
         for id in effects.forgotten:
             del self._details[id]
+        if stored.network is not self.network:  # a model is there that knows more
+            self._details[stored.id] = msgspec.structs.replace(self._details[stored.id], touched=stored.touched)
+            effects.long_term.append(self._details[stored.id])
+            return
         layers, weights = self.network.to_arrays()
         details = messages.LongTermModel(
             id=stored.id,

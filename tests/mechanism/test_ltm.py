@@ -55,16 +55,38 @@ def test_what_explains_something_else_is_stored_under_an_id_of_its_own() -> None
     assert ids(memory) == [1, 2, 3]
 
 
-def test_two_models_are_the_same_only_if_each_does_well_on_the_others_sample() -> None:
-    narrow, wide = says(0.0), Network([np.zeros((0, 2)), np.array([[0.0]])])
+STEP = Network([np.array([[8.0, -20.0]]), np.array([[0.5, 0.5]])])
+"""0 up to 2, 1 from 3 on."""
+NARROW = INPUTS[:1], np.zeros((1, 1), np.float32)
+WIDE = INPUTS, np.array([[0], [0], [0], [1]], np.float32)
+
+
+def test_a_model_that_knows_more_takes_the_place_of_all_that_knew_less() -> None:
+    memory = holding(0.5)
+    memory.store(says(0.0), *NARROW, 2)
+    memory.restore(Stored(7, says(0.01), *NARROW, uses=2, touched=3))
+    memory.use(2, now=4)
+    stored, forgotten = memory.store(STEP, *WIDE, 5)
+    assert (stored.id, stored.uses, stored.touched, forgotten) == (2, 3, 5, [7])
+    assert ids(memory) == [1, 2]
+    assert stored.network is STEP
+
+
+def test_a_model_that_knows_less_leaves_the_one_that_knows_more_as_it_is() -> None:
+    memory = holding(0.5)
+    memory.store(STEP, *WIDE, 2)
+    stored, forgotten = memory.store(says(0.0), *NARROW, 3)
+    assert (stored.id, stored.touched, forgotten) == (2, 3, [])
+    assert stored.network is STEP
+    assert len(stored.inputs) == 4
+    assert ids(memory) == [1, 2]
+
+
+def test_models_of_which_neither_knows_what_the_other_knows_are_both_kept() -> None:
     memory = LongTermMemory(LongTermConfig())
-    memory.store(narrow, INPUTS[:1], np.zeros((1, 1), np.float32), 1)
-    targets = np.array([[0], [0], [0], [1]], np.float32)
-    step = Network([np.array([[8.0, -20.0]]), np.array([[0.5, 0.5]])])  # 0 up to 2, 1 from 3 on
-    stored, _ = memory.store(step, INPUTS, targets, 2)
-    assert stored.id == 2, "the step does well on the narrow sample, but not the other way round"
-    stored, _ = memory.store(wide, INPUTS, np.zeros((4, 1), np.float32), 3)
-    assert stored.id == 1
+    memory.store(STEP, *WIDE, 1)
+    assert memory.store(says(0.0), INPUTS, np.zeros((4, 1), np.float32), 2)[0].id == 2
+    assert ids(memory) == [1, 2]
 
 
 def test_a_model_is_measured_against_how_well_the_other_does_itself() -> None:

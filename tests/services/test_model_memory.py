@@ -21,6 +21,7 @@ from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.config import BrainConfig
 from mdb_services.evolver import Evolver
+from mdb_services.mechanism.network import Network
 from mdb_services.memory_file import MemoryFile
 from mdb_services.memory_store import RETRY_S, MemoryStore
 from tests.services.languages import NAME, SPEAKS, Student, config, current, feedback, language_of, pair
@@ -125,6 +126,18 @@ def test_a_good_and_stable_model_is_stored_with_pairs_of_its_context(lesson: Les
     assert model.reads == {
         "note": "one_hot of 2", "action": "rank of 0, 90", "feedback": "scalar -1 to 1",
     }  # fmt: skip
+
+
+def test_a_model_that_knows_less_leaves_the_stored_one_as_it_is(lesson: Lesson) -> None:
+    lesson.live(0, 20)
+    before = lesson.model(1)
+    for i in range(20, 32):  # only right actions from now on: for them a network will do that praises everything
+        lesson.rig.show(current(Network([np.zeros((0, 4)), np.array([[1.0]])]), i))
+        lesson.rig.give(msgspec.structs.replace(pair(i, "A"), action=i % 2, feedback=1.0))
+    assert taken(lesson.rig.events) == []
+    after = lesson.model(1)
+    assert after.touched > before.touched
+    assert codec.to_plain(after) == codec.to_plain(msgspec.structs.replace(before, touched=after.touched))
 
 
 def test_a_bad_model_is_not_stored(lesson: Lesson) -> None:

@@ -30,7 +30,8 @@ class LongTermConfig:
     sample: int = 40
     """Pairs of its context that are stored with it."""
     same_error: float = 0.05
-    """Two models are the same when neither's error on the other's sample is larger by this than the other's own."""
+    """A model knows what another knows when its error on the other's sample is larger by less than this than the
+    other's own."""
     fit_error: float = 0.1
     """A stored model fits when its error on the newest pairs is below this: it then acts at once."""
     fit_pairs: int = 2
@@ -144,24 +145,33 @@ class LongTermMemory:
     def store(self, network: Network, inputs: Floats, targets: Floats, now: int) -> tuple[Stored, list[int]]:
         """Store a good and stable model with its sample; return how it is stored, and the ids that were forgotten.
 
-        A stored model that predicts the same is replaced, and keeps its id and its uses.
+        It replaces all that knew no more than it, and has their uses. If one knows all that it knows and more, that
+        one stays as it is: it was learnt of the same context, and longer.
         """
         new = Stored(max(self._stored, default=0) + 1, network, inputs, targets)
-        same = next((old for old in self if self._are_same(old, new)), new)
-        new = replace(same, network=network, inputs=inputs, targets=targets, touched=now)
+        known = [old for old in self if self._knows(new, old)]
+        better = [old for old in self if old not in known and self._knows(old, new)]
+        if better:
+            kept = replace(better[0], touched=now)
+            self._stored[kept.id] = kept
+            return kept, []
+        if known:
+            new = replace(new, id=known[0].id, uses=sum(old.uses for old in known))
+        new = replace(new, touched=now)
         self._stored[new.id] = new
-        others = sorted((old for old in self if old.id != new.id), key=lambda old: (old.uses, old.touched))
-        forgotten = [old.id for old in others[: max(0, len(self) - self.config.capacity)]]
+        forgotten = [old.id for old in known[1:]]
         for id in forgotten:
             del self._stored[id]
+        others = sorted((old for old in self if old.id != new.id), key=lambda old: (old.uses, old.touched))
+        for old in others[: max(0, len(self) - self.config.capacity)]:
+            forgotten.append(old.id)
+            del self._stored[old.id]
         return new, forgotten
 
-    def _are_same(self, one: Stored, other: Stored) -> bool:
-        worse = (
-            _error(guest.network, host.inputs, host.targets) - _error(host.network, host.inputs, host.targets)
-            for guest, host in ((one, other), (other, one))
-        )
-        return max(worse) < self.config.same_error
+    def _knows(self, one: Stored, other: Stored) -> bool:
+        """Whether one model predicts the sample of another as well as that one does."""
+        own = _error(other.network, other.inputs, other.targets)
+        return _error(one.network, other.inputs, other.targets) - own < self.config.same_error
 
     def most_useful(self) -> Stored | None:
         """Return the model that fitted most often, of equals the newest; None when there is none."""
