@@ -31,12 +31,12 @@ from tests.integration.ears import Ears, frozen, longest_gap_s, of, stored_itera
 from tests.integration.test_deadman import goes_on
 from tests.integration.test_survival import LONG
 
+pytestmark = pytest.mark.long
+
 HOUR_S = 3600
 LISTENER = """
 import sys
 from mdb_protocol.zenoh_bus import Router, ZenohBus
-
-pytestmark = pytest.mark.long
 with ZenohBus("pioneer", sys.argv[1]) as bus:
     tap = bus.tap()
     bus.token("viewer", "listener")
