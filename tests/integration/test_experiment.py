@@ -44,6 +44,7 @@ RESTLESS = (
     "long_term.stable_pairs=5",
     "long_term.good_error=0.8",
     "long_term.fit_error=0.5",
+    "long_term.same_error=0.0001",
     "teacher.phase.second teacher.delay=2",
 )
 """Settings with which a short run changes context again and again, and stores and recalls models."""
