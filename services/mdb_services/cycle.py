@@ -47,6 +47,8 @@ class CurrentModels:
     codebooks: dict[str, Codebook]
     usable: dict[str, tuple[Codebook, Network]] = field(default_factory=dict)
     versions: dict[str, int] = field(default_factory=dict)
+    errors: dict[str, float] = field(default_factory=dict)
+    """Mean squared, of each over its memory, in scaled units."""
 
     def take(self, model: messages.CurrentModel) -> str | None:
         """Use a model from now on; return what is wrong with it instead, if anything is."""
@@ -61,7 +63,7 @@ class CurrentModels:
             self.usable[model.model] = codebook, Network.from_arrays(model.layers, model.weights)
         except ValueError as error:
             return str(error)
-        self.versions[model.model] = model.version
+        self.versions[model.model], self.errors[model.model] = model.version, model.error
         return None
 
 

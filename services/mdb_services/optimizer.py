@@ -289,6 +289,7 @@ class Optimizer:
             gather(before=cycle.perception.reading, note=cycle.note),
             self._tried[cycle.note],
             streams.generator(self._experiment.seed, "optimizer", iteration),
+            errors=self._models.errors,
             forced_exploration=iteration < self._settings.random_iterations,
         )
         self._tried[cycle.note][cycle.choice.action] = iteration

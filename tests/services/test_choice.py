@@ -1,11 +1,13 @@
 """The choice of the current action among what the models foresee."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mdb_services.mechanism.choice import RANDOM, Mode, Models, choose, satisfactions
+from mdb_services.mechanism.choice import RANDOM, Mode, Models, aspired, choose, satisfactions
 from mdb_services.mechanism.encoding import Channel, Codebook, gather
 from mdb_services.mechanism.network import Network
 
@@ -102,6 +104,22 @@ def test_below_its_aspiration_a_mode_explores_as_often_as_it_says(best: float, e
     assert all(choice.action == 2 for choice in choices if not choice.explored)
     liked = [0, 0, best, 0, 0]
     assert all(choice.predicted == pytest.approx(liked[choice.action], abs=1e-3) for choice in choices)
+
+
+@pytest.mark.parametrize(("error", "explores"), [(0.0, True), (0.04, True), (0.2, False)])
+def test_what_the_model_cannot_foresee_is_not_aspired_to(error: float, explores: bool) -> None:
+    models = brain([0, 0, 0.4, 0, 0])
+    mode = Mode("taught", "communication", "feedback", aspiration=0.8, exploration=1.0)
+    choice = choose([mode], models, gather(note=0), UNTRIED, rng(), errors={"communication": error, "induced": 9.0})
+    assert choice.explored == explores
+
+
+def test_the_error_that_counts_is_that_of_the_model_which_tells_the_satisfaction() -> None:
+    models, errors = brain([0] * ACTIONS), {"communication": 0.25, "object": 0.01, "induced": 0.36}
+    aspiring = [replace(mode, aspiration=0.8) for mode in (TAUGHT, ALONE)]
+    assert [aspired(mode, models, errors) for mode in aspiring] == pytest.approx([0.3, 0.2])
+    assert [aspired(mode, models, {}) for mode in aspiring] == [0.8, 0.8]
+    assert aspired(TAUGHT, models, errors) == -np.inf
 
 
 def test_what_was_tried_longest_ago_is_explored() -> None:

@@ -376,7 +376,7 @@ def test_a_model_recalled_by_chance_is_left_after_a_few_pairs(lesson: Lesson) ->
     assert sorted(pair for pair in kept if pair >= 0) == [40, 41, 42, 43], "all that was heard in the new language"
 
 
-HESITANT = {"threshold": 3.0, "known_pairs": 4}
+HESITANT = {"threshold": 3.0, "known_pairs": 4, "margin": 0.2}
 """Two missed pairs are not yet a change."""
 MISSED = [(1, 1), (1, 0), (1, 1)]
 """Of these, A says the contrary of C in the first and the last."""

@@ -6,6 +6,7 @@ of the world model's own outputs (the trivial satisfaction model of the operatio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -25,7 +26,9 @@ class Mode:
 
     While the best predicted satisfaction is below `aspiration`, the action that was tried longest ago under this
     command is taken with probability `exploration` (ours: without it a robot that obeys wrongly sees only what it
-    does wrongly, and a uniformly random action can miss the right one for hundreds of iterations).
+    does wrongly, and a uniformly random action can miss the right one for hundreds of iterations). What cannot be
+    foreseen is not aspired to: the aspiration is less by the root of the mean squared error that the model, in its
+    scaled units, has over its memory. So a teacher who errs is obeyed, and one who does not loses nothing.
     """
 
     name: str
@@ -73,6 +76,18 @@ def satisfactions(mode: Mode, models: Models, facts: Facts, actions: int) -> NDA
     return None if rows is None else satisfaction.sums(rows)[:, 0].astype(np.float64)
 
 
+def aspired(mode: Mode, models: Models, errors: Mapping[str, float]) -> float:
+    """Return what the best action must promise for a mode to be content, with these errors of the models.
+
+    errors: mean squared, each over its model's memory, in scaled units, by the model's name; unknown ones count as 0.
+    """
+    if mode.aspiration is None:
+        return -math.inf
+    of_world = mode.satisfaction in models[mode.world][0].outputs
+    error = errors.get(mode.world if of_world else mode.satisfaction, 0.0)
+    return mode.aspiration - math.sqrt(max(error, 0.0))
+
+
 def choose(
     modes: Sequence[Mode],
     models: Models,
@@ -80,12 +95,14 @@ def choose(
     tried: NDArray[np.int64],
     rng: np.random.Generator,
     *,
+    errors: Mapping[str, float] | None = None,
     forced_exploration: bool = False,
 ) -> Choice:
     """Return the choice of the first mode whose inputs are present; a random action when none is.
 
-    `tried` (actions,) tells the iteration in which each action was last taken under this command. Forced
-    exploration is uniformly random (paper, section 3); a dissatisfied mode explores what was tried longest ago.
+    `tried` (actions,) tells the iteration in which each action was last taken under this command; `errors` those of
+    the models, see `aspired`. Forced exploration is uniformly random (paper, section 3); a dissatisfied mode explores
+    what was tried longest ago.
     """
     explores, other = rng.random(), int(rng.integers(tried.size))
     for mode in modes:
@@ -93,7 +110,7 @@ def choose(
         if foreseen is None:
             continue
         best = int(np.argmax(foreseen))
-        dissatisfied = mode.aspiration is not None and foreseen[best] < mode.aspiration
+        dissatisfied = foreseen[best] < aspired(mode, models, errors or {})
         explored = forced_exploration or (dissatisfied and explores < mode.exploration)
         action = best
         if forced_exploration:

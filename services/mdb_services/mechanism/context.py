@@ -2,7 +2,8 @@
 
 The mechanism's literature switches the short-term memory to its temporal setting while the context changes and
 back to relevance afterwards; how a change is noticed is ours: a cumulative sum of the errors beyond the usual
-one (Page, 1954), over errors that are cut off, so that one odd pair is not a change.
+one (Page, 1954), over errors that are cut off, so that one odd pair is not a change. A teacher who errs makes some
+pairs odd for ever: what counts as odd, and how much of it as a change, grows with the usual error.
 """
 
 from dataclasses import dataclass
@@ -10,6 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mdb_services.mechanism.stm import MemoryConfig
+
+UNUSUAL = 2.5
+"""An error speaks for a change when it is this many times the usual one, and `margin` more."""
+NOISE = 5.0
+"""The threshold is so much higher, as a share of itself, for each unit of the usual error."""
+USUAL_PAIRS = 80
+"""Pairs in the running mean of a known context, which is to tell a teacher's errors from chance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,14 +27,17 @@ class ContextConfig:
     enabled: bool = True
     known_error: float = 0.05
     """A context is known when the usual error is below this: only a known one can be left."""
+    known_after: int = 150
+    """After so many pairs it is known whatever the error is: that of a teacher who errs never falls so low."""
     known_pairs: int = 20
     """Pairs at least until a new context is known; the usual error is their running mean."""
     cut_off: float = 1.0
     """The error of one pair counts at most as this."""
     margin: float = 0.1
-    """Error beyond the usual one that is not yet evidence of a change."""
+    """Error beyond two and a half times the usual one that is not yet evidence of a change."""
     threshold: float = 1.5
-    """Sum of the evidence that means a change: more than `cut_off`, hence more than one pair."""
+    """Sum of the evidence that means a change, where the usual error is 0: more than `cut_off`, hence more than one
+    pair."""
     forget: bool = True
     """Whether the pairs from before the change are dropped at once; otherwise they leave first in, first out."""
     recency: float = 1.0
@@ -42,8 +53,9 @@ class ContextConfig:
             raise ValueError(
                 f"threshold is {self.threshold}; expected more than cut_off = {self.cut_off}: one pair is no change"
             )
-        if self.known_pairs < 1:
-            raise ValueError(f"known_pairs is {self.known_pairs}; expected 1 or more")
+        for name in ("known_pairs", "known_after"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}; expected 1 or more")
         MemoryConfig(recency=self.recency, distance=self.distance)
 
     @property
@@ -71,6 +83,8 @@ class ContextDetector:
         self._pairs = self.config.known_pairs if known else 0
         self._lasted = 0
         self._evidence = 0.0
+        self._before = 0.0
+        """The usual error before what may be a change: from then on it is of another context."""
         self.suspected: int | None = None
         """The version of the first pair of what may be another context; None while nothing speaks for a change."""
 
@@ -88,18 +102,21 @@ class ContextDetector:
             return False
         config, error = self.config, min(error, self.config.cut_off)
         if self.known:
-            evidence = max(0.0, self._evidence + error - self.usual - config.margin)
-            if evidence == 0:
+            if self.suspected is None:
+                self._before = self.usual
+            self._evidence = max(0.0, self._evidence + error - UNUSUAL * self._before - config.margin)
+            if self._evidence == 0:
                 self.suspected = None
             elif self.suspected is None:
                 self.suspected = version
-            self._evidence = evidence
-            if self.suspected is not None and evidence > config.threshold:
+            if self.suspected is not None and self._evidence > config.threshold * (1 + NOISE * self._before):
                 # what was recalled a moment ago does not fit after all: the context began where that one did
                 self.begin(self.suspected if self.settled else self.first)
                 return True
         self._pairs, self._lasted = self._pairs + 1, self._lasted + 1
-        self.usual += (error - self.usual) / min(self._pairs, config.known_pairs)
-        if self._pairs >= config.known_pairs and self.usual < config.known_error:
+        window = max(USUAL_PAIRS, config.known_pairs) if self.known else config.known_pairs
+        self.usual += (error - self.usual) / min(self._pairs, window)
+        enough = config.known_pairs if self.usual < config.known_error else config.known_after
+        if self._pairs >= enough:
             self.known, self.changing = True, False
         return False
