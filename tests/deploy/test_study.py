@@ -70,7 +70,7 @@ def other_experiment(path: Path, **sections: Any) -> Path:
 def test_variants_of_the_paper_take_one_ingredient_away_each() -> None:
     overrides = overrides_of(Experiment.read(PAPER))
     fifo = [f"model.{name}.memory={{recency=1.0}}" for name in ("communication", "object", "induced")]
-    smaller = [f"model.{name}.capacity={n}" for name, n in (("communication", 40), ("object", 100), ("induced", 100))]
+    smaller = [f"model.{name}.capacity={n}" for name, n in (("communication", 20), ("object", 100), ("induced", 100))]
     assert overrides == {
         "as-shipped": (),
         "promoters-off": ("learner.name=ga",),

@@ -179,24 +179,6 @@ def test_distance_lets_the_redundant_leave_and_of_a_contradiction_the_older() ->
     assert put(memory, 10, [-1.0]).evicted == (3,)
 
 
-@pytest.mark.parametrize("neighbours", [1, 2, 3])
-def test_of_pairs_that_are_alike_as_many_stay_as_neighbours_are_asked_for(neighbours: int) -> None:
-    config = MemoryConfig(recency=0.1, distance=1, neighbours=neighbours)
-    memory = filled(config, [[0.0]] * 4 + [[1.0]] + [[2.0]], capacity=6)
-    evicted = [put(memory, 10 + i, [3.0 + i]).evicted[0] for i in range(4 - neighbours)]
-    assert evicted == list(range(4 - neighbours)), "the oldest of those alike"
-    rows = memory.arrays()[0][:, 0].tolist()
-    assert rows.count(0.0) == neighbours
-    assert put(memory, 20, [0.0]).evicted == (4 - neighbours,), (
-        "what contradicts it is not older than what it enters for"
-    )
-
-
-def test_neighbours_beyond_all_that_is_stored_keep_the_memory_full() -> None:
-    memory = filled(MemoryConfig(recency=0, distance=1, neighbours=9), [[0.0], [1.0]], capacity=2)
-    assert put(memory, 9, [5.0]).evicted == (0,)
-
-
 @pytest.mark.parametrize("which", ["current_error", "entry_error"])
 def test_errors_let_the_best_predicted_leave(which: str) -> None:
     errors = [0.5, 0.1, 0.9]
@@ -365,8 +347,6 @@ def test_the_setting_can_be_changed_and_says_what_is_wrong() -> None:
         replace(MIXED, distance=-1.0)
     with pytest.raises(ValueError, match="expected none negative"):
         replace(MIXED, entry_error=float("inf"))
-    with pytest.raises(ValueError, match="neighbours is 0; expected 1 or more"):
-        replace(MIXED, neighbours=0)
 
 
 def test_an_insert_takes_less_than_a_millisecond() -> None:

@@ -6,10 +6,9 @@ section 2.2; the strategy is in its reference 12 and ours in detail). Each pair 
     L = Kt * T + Kd * d + Kc * C + Kr * R
 
 and the pair with the lowest leaves when the memory is full: T recency, d distance in input space to the
-nearest other pair (so that of pairs contradicting each other the older leaves; to the third nearest, say, if so
-many alike shall stay, whose mean tells more when teachers err: ours), C the current model's error on the pair, R the
-error when it entered. Each term is scaled to [0, 1] over the stored pairs. Kt = 1 and the rest 0 is first in, first
-out. The newcomer itself is never the one that leaves.
+nearest other pair (so that of pairs contradicting each other the older leaves), C the current model's error
+on the pair, R the error when it entered. Each term is scaled to [0, 1] over the stored pairs. Kt = 1 and the
+rest 0 is first in, first out. The newcomer itself is never the one that leaves.
 
 When the context has changed (`context.py`), the weights are those of the temporal setting until the new context
 is known, and what is older than the change can be dropped at once.
@@ -43,15 +42,11 @@ class MemoryConfig:
     """Kc: keep what the current model predicts badly."""
     entry_error: float = 0.0
     """Kr: keep what was badly predicted when it came."""
-    neighbours: int = 1
-    """d is the distance to so many-th nearest other pair: of pairs that are alike so many stay."""
 
     def __post_init__(self) -> None:
         weights = (self.recency, self.distance, self.current_error, self.entry_error)
         if not all(0 <= weight < np.inf for weight in weights) or sum(weights) == 0:
             raise ValueError(f"label weights are {weights}; expected none negative and one positive at least")
-        if self.neighbours < 1:
-            raise ValueError(f"neighbours is {self.neighbours}; expected 1 or more")
 
 
 @dataclass(frozen=True)
@@ -277,24 +272,14 @@ class ShortTermMemory(MemoryMirror):
             orders = self._orders[self._used]
             labels += config.recency * _scaled((orders - orders.min(initial=self.version)).astype(np.float64))
         if config.distance:
-            distances = np.sqrt(self._nearest(gaps).astype(np.float64))
-            labels += config.distance * _scaled(distances)
+            nearest = np.minimum(self._distances.min(axis=1)[self._used], gaps)
+            labels += config.distance * _scaled(np.sqrt(nearest.astype(np.float64)))
         if config.current_error and errors_now is not None:
             errors = _rows(errors_now, (len(self),), "errors now")
             labels += config.current_error * _scaled(errors.astype(np.float64))
         if config.entry_error:
             labels += config.entry_error * _scaled(self._entry_errors[self._used])
         return labels
-
-    def _nearest(self, gaps: Floats) -> Floats:
-        """Return each stored pair's squared distance (n,) to its `neighbours`-th nearest, the newcomer included."""
-        count = self.config.neighbours
-        if count == 1:
-            nearest: Floats = np.minimum(self._distances.min(axis=1)[self._used], gaps)
-            return nearest
-        table: Floats = np.column_stack([self._distances[self._used], gaps])
-        place = min(count, table.shape[1]) - 1
-        return np.partition(table, place, axis=1)[:, place]
 
 
 def _scaled(term: NDArray[np.float64]) -> NDArray[np.float64]:
