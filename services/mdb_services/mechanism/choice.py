@@ -19,6 +19,9 @@ from mdb_services.mechanism.network import Network
 RANDOM = "random"
 """The mode when no model pair applies, or while exploration is forced."""
 
+GOOD_ERROR = 0.05
+"""Mean squared, in scaled units: what a model has that has learnt well from a teacher who never errs (ours)."""
+
 
 @dataclass(frozen=True)
 class Mode:
@@ -27,8 +30,8 @@ class Mode:
     While the best predicted satisfaction is below `aspiration`, the action that was tried longest ago under this
     command is taken with probability `exploration` (ours: without it a robot that obeys wrongly sees only what it
     does wrongly, and a uniformly random action can miss the right one for hundreds of iterations). What cannot be
-    foreseen is not aspired to: the aspiration is less by the root of the mean squared error that the model, in its
-    scaled units, has over its memory. So a teacher who errs is obeyed, and one who does not loses nothing.
+    foreseen is not aspired to: the aspiration is less by the root of the mean squared error, beyond `GOOD_ERROR`, that
+    the model has over its memory. So a teacher who errs is obeyed, and one who does not loses nothing.
     """
 
     name: str
@@ -85,7 +88,7 @@ def aspired(mode: Mode, models: Models, errors: Mapping[str, float]) -> float:
         return -math.inf
     of_world = mode.satisfaction in models[mode.world][0].outputs
     error = errors.get(mode.world if of_world else mode.satisfaction, 0.0)
-    return mode.aspiration - math.sqrt(max(error, 0.0))
+    return mode.aspiration - math.sqrt(max(error - GOOD_ERROR, 0.0))
 
 
 def choose(
