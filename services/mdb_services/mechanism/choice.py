@@ -30,7 +30,7 @@ class Mode:
     While the best predicted satisfaction is below `aspiration`, the action that was tried longest ago under this
     command is taken with probability `exploration` (ours: without it a robot that obeys wrongly sees only what it
     does wrongly, and a uniformly random action can miss the right one for hundreds of iterations). What cannot be
-    foreseen is not aspired to: the aspiration is less by the root of the mean squared error, beyond `GOOD_ERROR`, that
+    foreseen is not aspired to: the aspiration is less by the root of the mean squared error beyond `GOOD_ERROR` that
     the model has over its memory. So a teacher who errs is obeyed, and one who does not loses nothing.
     """
 
