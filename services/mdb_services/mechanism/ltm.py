@@ -149,23 +149,20 @@ class LongTermMemory:
         one stays as it is: it was learnt of the same context, and longer.
         """
         new = Stored(max(self._stored, default=0) + 1, network, inputs, targets)
-        known = [old for old in self if self._knows(new, old)]
-        better = [old for old in self if old not in known and self._knows(old, new)]
-        if better:
-            kept = replace(better[0], touched=now)
-            self._stored[kept.id] = kept
-            return kept, []
-        if known:
-            new = replace(new, id=known[0].id, uses=sum(old.uses for old in known))
-        new = replace(new, touched=now)
-        self._stored[new.id] = new
-        forgotten = [old.id for old in known[1:]]
+        known = {old.id: old for old in self if self._knows(new, old)}
+        others = [old for old in self if old.id not in known]
+        better = next((old for old in others if self._knows(old, new)), None)
+        if better is not None:
+            self._stored[better.id] = replace(better, touched=now)
+            return self._stored[better.id], []
+        id, *doubles = known or [new.id]
+        new = replace(new, id=id, uses=sum(old.uses for old in known.values()), touched=now)
+        self._stored[id] = new
+        others.sort(key=lambda old: (old.uses, old.touched))
+        too_many = max(0, len(others) + 1 - self.config.capacity)
+        forgotten = doubles + [old.id for old in others[:too_many]]
         for id in forgotten:
             del self._stored[id]
-        others = sorted((old for old in self if old.id != new.id), key=lambda old: (old.uses, old.touched))
-        for old in others[: max(0, len(self) - self.config.capacity)]:
-            forgotten.append(old.id)
-            del self._stored[old.id]
         return new, forgotten
 
     def _knows(self, one: Stored, other: Stored) -> bool:
