@@ -24,6 +24,9 @@ from mdb_sim.sonar import BODY_CENTRE_X_M, Array, SonarRing
 BODY_RADIUS_M = 0.22
 """Radius of the circle about the body's centre that touches things (simulation notes, Pioneer 2 DX)."""
 
+REACH_MARGIN_M = 0.02
+"""How much farther than asked for a motion may carry the body, amply (ours)."""
+
 Purpose = Literal["placement", "reached", "placed", "sense"]
 _PURPOSES: tuple[Purpose, ...] = ("placement", "reached", "placed", "sense")
 
@@ -197,6 +200,13 @@ class ArenaRobot(abc.ABC):
     ) -> None:
         """Close the body at the end of a `with` block."""
         self.close()
+
+    def _may_touch(self, start: Pose, advance_m: float) -> bool:
+        """Whether anything is within reach of a motion from there: a cheap answer that spares most searches."""
+        reach_m = BODY_RADIUS_M + abs(BODY_CENTRE_X_M) + advance_m + REACH_MARGIN_M
+        object_m = math.hypot(self._object_m[0] - start.x_m, self._object_m[1] - start.y_m)
+        wall_m = self.config.arena_m / 2.0 - max(abs(start.x_m), abs(start.y_m))
+        return object_m <= reach_m + self.config.object_radius_m or wall_m <= reach_m
 
     def _event(self, reached: Placement, bumped: bool) -> Event:
         """What ended the episode, if anything did. Touching the object frontally is reaching it."""

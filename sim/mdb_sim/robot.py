@@ -158,7 +158,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     attention_m: Metres = 2.0
     """Echoes farther than this from the centre of rotation are not taken for the object (they are walls)."""
 
-    physics_hz: Annotated[int, Meta(ge=60, le=2000)] = 240
+    physics_hz: Annotated[int, Meta(ge=60, le=2000)] = 90
+    """Steps of physics in a second of robot time, for bodies that have physics."""
 
     def __post_init__(self) -> None:
         """Check each field's bounds (msgspec alone does so only on decoding), then those between fields."""
