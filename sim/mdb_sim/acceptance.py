@@ -1,4 +1,4 @@
-"""Runs against the acceptance table of the simulation notes: one row a seed, one criterion a line.
+"""Runs against the acceptance table (sim/README.md, "Acceptance"): one row a seed, one criterion a line.
 
 Owns the criteria, what each must reach at least and what it should, and the Markdown that shows every seed.
 A value that a log does not hold (nan) meets no criterion.
@@ -128,7 +128,7 @@ class Criterion:
 
 
 def judge(rows: Iterable[AcceptanceRow]) -> list[Criterion]:
-    """Return the criteria of the simulation notes, in their order, with what these seeds reached."""
+    """Return the criteria of the acceptance table, in their order, with what these seeds reached."""
     rows = list(rows)
 
     def each(values: Callable[[AcceptanceRow], tuple[float, ...]], *places: int) -> tuple[tuple[float, ...], ...]:

@@ -23,7 +23,7 @@ from mdb_sim.sonar import BODY_CENTRE_X_M, SONAR_HEIGHT_M, Array
 WHEEL_RADIUS_M = 0.0825
 TRACK_M = 0.3206
 MASS_KG = 9.0
-"""Simulation notes, Pioneer 2 DX."""
+"""See sim/README.md, "The Pioneer 2 DX"."""
 
 CASTER_X_M, CASTER_RADIUS_M = -0.20, 0.0375
 WHEEL_WIDTH_M = 0.037
@@ -32,7 +32,8 @@ BODY_BOTTOM_M, BODY_TOP_M = 0.06, 0.24
 """Where the mass and the shapes are, within the 9 kg and the outline above (ours)."""
 
 SOLVER_ITERATIONS = 50
-"""How often the engine goes over all constraints in a step. With fewer the wheels slip and the errors grow (ours)."""
+"""How often the engine goes over all constraints in a step. With fewer the errors grow
+(ours; sim/README.md, "Physics")."""
 
 TURN_SPEED_M_S, ADVANCE_SPEED_M_S = 0.35, 0.60
 """Top speeds of a wheel (ours)."""

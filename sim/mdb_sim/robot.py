@@ -120,7 +120,10 @@ TurnDeg = Annotated[float, Meta(ge=-180.0, le=180.0)]
 
 
 class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Body, world and episode rules. Defaults: paper, section 3, and the simulation notes.
+    """Body, world and episode rules. Defaults: paper, section 3, and ours.
+
+    What they mean is in sim/README.md, "Actions, episodes, captures", and where they come from in
+    sim/README.md, "Which seeds chose which constant".
 
     Bounds are checked however it is made (decoded or constructed): msgspec.ValidationError or RobotError,
     both ValueErrors.
