@@ -1,12 +1,18 @@
 """What the code cites of sim/README.md is there, and what the page says of settings is so."""
 
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from mdb_sim import arena, perceive, sonar
+from mdb_services.mechanism import choice, context
+from mdb_services.mechanism.context import ContextConfig
+from mdb_services.mechanism.ltm import LongTermConfig
+from mdb_services.mechanism.settings import EvolutionConfig
+from mdb_sim import arena, measures, perceive, sonar, teacher
 from mdb_sim.robot import RobotConfig
 
 ROOT = Path(__file__).parents[2]
@@ -35,8 +41,7 @@ def test_every_citation_of_the_page_names_one_of_its_headings() -> None:
 
 def test_sections_that_the_page_itself_names_exist() -> None:
     for heading in re.findall(r'"([A-Z][^"]+)"', re.sub(r"```.*?```", "", PAGE, flags=re.DOTALL)):
-        if heading not in ("Several teachers",):  # of the project's README
-            assert heading in HEADINGS, heading
+        assert heading in (*HEADINGS, "Several teachers"), heading  # the last one is of the project's README
 
 
 @pytest.mark.parametrize(
@@ -72,3 +77,79 @@ def test_the_page_says_the_body_and_the_solver_as_they_are() -> None:
     assert f"goes {pioneer.SOLVER_ITERATIONS} times over all constraints" in PAGE
     assert f"with {pioneer.BRAKING_M_S2} m/s²" in PAGE
     assert f"when {1e3 * pioneer.ARRIVED_M:g} mm remain" in PAGE
+
+
+def rows(beginning: str) -> Iterator[list[str]]:
+    """The cells of each row of the table that follows these words."""
+    table = PAGE.split(beginning)[1].lstrip(":,").split("\n\n")[1]
+    for line in table.splitlines()[2:]:
+        yield [cell.strip() for cell in line.strip("|").split(" | ")]
+
+
+def values(cell: str) -> list[float]:
+    """The numbers of a cell, without what was before, in brackets; none when it holds other things, too."""
+    parts = [part.strip() for part in re.split("[,;]", re.sub(r"\([^)]*\)", "", cell))]
+    return [float(part) for part in parts] if all(re.fullmatch(r"-?[\d.]+(e-\d+)?", part) for part in parts) else []
+
+
+def differences(row: list[str], found: dict[str, Any]) -> list[str]:
+    """The settings of a row whose value is not the one of the row; one value may stand for all."""
+    names, shown = re.findall(r"`([^`]+)`", row[0]), values(row[1])
+    if names and f"`{names[0]}`:" in row[0]:
+        names = [f"{names[0]}.{name}" for name in names[1 : 1 + len(shown)]]
+    if not shown or not names or not set(names) <= found.keys():
+        return []
+    shown = shown * len(names) if len(shown) == 1 else shown
+    return [f"{n} is {found[n]}, the page says {v}" for n, v in zip(names, shown, strict=True) if found[n] != v]
+
+
+def test_the_constants_of_the_page_are_those_of_the_code() -> None:
+    pioneer = pytest.importorskip("mdb_sim.pioneer")
+    owners = {
+        "settings.py": (EvolutionConfig(),),
+        "context.py": (ContextConfig(), context),
+        "ltm.py": (LongTermConfig(),),
+        "choice.py": (choice,),
+        "perceive.py": (perceive,),
+        "teacher.py": (teacher,),
+        "measures.py": (measures,),
+        "pioneer.py": (pioneer, RobotConfig()),
+        "RobotConfig": (RobotConfig(),),
+    }
+    compared = 0
+    for beginning in ("World, body, teacher, measures", "Defaults of the mechanism"):
+        for row in rows(beginning):
+            holders = [holder for name, those in owners.items() if name in row[2] for holder in those]
+            names = [name for name in re.findall(r"`([^`]+)`", row[0]) if any(hasattr(h, name) for h in holders)]
+            found = {name: next(getattr(h, name) for h in holders if hasattr(h, name)) for name in names}
+            assert not differences(row, found)
+            compared += len(found) if values(row[1]) else 0
+    assert compared > 40
+
+
+def test_the_settings_of_the_page_are_those_of_the_experiment() -> None:
+    content = tomllib.loads((ROOT / "deploy" / "experiments" / "paper.toml").read_text(encoding="utf-8"))
+    models = {model["name"]: model for model in content["model"]}
+    modes = {f"mode.{mode['name']}": mode for mode in content["mode"]}
+    found = flat(
+        {**models, **modes, "channels": content["channels"], **content["experiment"], **content["optimizer"]}
+    )
+    compared = [row for row in rows("The shipped experiment") if values(row[1])]
+    for row in compared:
+        names = set(re.findall(r"`([^`]+)`", row[0]))
+        assert not differences(row, found)
+        assert ":" in row[0] or not names - found.keys(), (
+            f"{names - found.keys()}: the experiment has no such setting"
+        )
+    assert len(compared) > 12
+
+
+def flat(section: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """Each setting by its dotted path; a list of one, as of hidden units, as what it holds."""
+    found: dict[str, Any] = {}
+    for name, value in section.items():
+        if isinstance(value, dict):
+            found |= flat(value, f"{above}{name}.")
+        else:
+            found[above + name] = value[0] if isinstance(value, list) and len(value) == 1 else value
+    return found
