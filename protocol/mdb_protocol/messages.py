@@ -379,7 +379,8 @@ class CurrentModel(Message, frozen=True, kw_only=True):
 
     `layers` are the numbers of inputs, expressed hidden units and outputs; `weights` the matrices
     (units, inputs + 1), bias last, flattened one after the other; `error` the mean squared error over
-    the short-term memory in the outputs' scaled units.
+    the short-term memory in the outputs' scaled units. `support` holds the inputs (n, inputs) of the pairs in that
+    memory, where a mode believes the model no farther than they reach.
     """
 
     model: Name
@@ -388,10 +389,15 @@ class CurrentModel(Message, frozen=True, kw_only=True):
     layers: Layers
     weights: np.ndarray
     error: float
+    support: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         check_weights(self.layers, self.weights)
         check_finite("error", self.error)
+        if self.support is not None:
+            check_array("support", self.support, "f", 2)
+            if self.support.shape[1] != self.layers[0]:
+                raise ValueError(f"support has {self.support.shape[1]} columns; the network has {self.layers[0]} inputs")
 
 
 class LongTermModel(Message, frozen=True, kw_only=True):

@@ -102,6 +102,9 @@ class ModeSection(Section, frozen=True, kw_only=True):
     satisfaction: str
     aspiration: float | None = None
     exploration: Probability = 0.0
+    reach: Annotated[float, Meta(gt=0, le=100)] | None = None
+    """How far around a pair a model is believed, in scaled units; see `choice.Mode`."""
+    curiosity: Annotated[float, Meta(ge=0, le=10)] = 0.0
 
 
 class OptimizerSection(Section, frozen=True, kw_only=True):
@@ -256,6 +259,11 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
                 change = {"low": -section.change, "high": section.change}
                 found[f"covered.{name}"] = make(Channel, change, f"channels.{name}.change")
         return found
+
+    def is_supported(self, model: str) -> bool:
+        """Whether a mode weighs what this model foresees by the pairs that it was learnt from."""
+        outputs = {section.name: section.outputs for section in self.model}
+        return any(mode.reach is not None and mode.valued_by(outputs[mode.world]) == model for mode in self.modes())
 
     def modes(self) -> list[Mode]:
         """Return the modes in order of precedence."""

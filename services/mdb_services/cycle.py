@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mdb_protocol import messages
-from mdb_services.mechanism.choice import Choice
+from mdb_services.mechanism.choice import Choice, Known
 from mdb_services.mechanism.encoding import Codebook, Facts, gather
 from mdb_services.mechanism.network import Network
 
@@ -29,7 +29,7 @@ class Cycle:
     teacher: str | None = None
     holder: str | None = None
     choice: Choice | None = None
-    models: dict[str, tuple[Codebook, Network]] = field(default_factory=dict)
+    models: dict[str, Known] = field(default_factory=dict)
     versions: dict[str, int] = field(default_factory=dict)
     acted_s: float = 0.0
     sent_s: float = 0.0
@@ -45,7 +45,7 @@ class CurrentModels:
     """The newest valid model of each name, ready to use."""
 
     codebooks: dict[str, Codebook]
-    usable: dict[str, tuple[Codebook, Network]] = field(default_factory=dict)
+    usable: dict[str, Known] = field(default_factory=dict)
     versions: dict[str, int] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)
     """Mean squared, of each over its memory, in scaled units."""
@@ -60,9 +60,10 @@ class CurrentModels:
                 f"model {model.model} has layers {model.layers}, not {codebook.width} in, {len(codebook.outputs)} out"
             )
         try:
-            self.usable[model.model] = codebook, Network.from_arrays(model.layers, model.weights)
+            network = Network.from_arrays(model.layers, model.weights)
         except ValueError as error:
             return str(error)
+        self.usable[model.model] = Known(codebook, network, model.support)
         self.versions[model.model], self.errors[model.model] = model.version, model.error
         return None
 
@@ -74,13 +75,13 @@ def differs(done: messages.Action | None, wanted: messages.Action | None) -> boo
     return (done.action, done.intention) != (wanted.action, wanted.intention)
 
 
-def prequential(models: dict[str, tuple[Codebook, Network]], pair: messages.Pair) -> dict[str, float]:
+def prequential(models: dict[str, Known], pair: messages.Pair) -> dict[str, float]:
     """Return each model's mean squared error on a pair that it has not learnt yet."""
     facts: Facts = gather(
         before=pair.before, after=pair.after, note=pair.note, action=pair.action, feedback=pair.feedback
     )
     errors = {}
-    for name, (codebook, network) in models.items():
+    for name, (codebook, network, _) in models.items():
         inputs, targets = codebook.input_rows(facts), codebook.target_rows(facts)
         if inputs is not None and targets is not None:
             errors[name] = float(np.square(network.predict(inputs) - targets).mean())

@@ -21,7 +21,7 @@ from mdb_protocol.errors import ConfigError, QueryError
 from mdb_services.config import BrainConfig
 from mdb_services.mechanism.encoding import Codebook
 from mdb_services.mechanism.learners import Best, Learner, make_learner
-from mdb_services.mechanism.network import Network, Shape
+from mdb_services.mechanism.network import Floats, Network, Shape
 from mdb_services.mechanism.settings import DifferentialConfig, EvolutionConfig
 from mdb_services.mechanism.stm import Change, MemoryMirror, VersionGapError
 from mdb_services.snapshot import snapshot_of
@@ -62,6 +62,7 @@ class Evolver:
         self._learner = _learner_of(config, model, shape)
         compile_kernels()
         self._lockstep = config.lockstep
+        self._tells_support = config.is_supported(model)
         self._mirror = MemoryMirror(section.capacity, shape.inputs, shape.outputs)
         self._learnt_version = 0
         self._generations = 0
@@ -130,7 +131,7 @@ class Evolver:
             self._recall(resume.memory.seeds)
         if restored and self._mirror.version == self._learnt_version and len(self._mirror) and not self._missed:
             inputs, targets, _ = self._mirror.arrays()  # it may have died before anybody heard the last model
-            self._show(self._learner.learn(inputs, targets, version=self._learnt_version, generations=0))
+            self._show(self._learner.learn(inputs, targets, version=self._learnt_version, generations=0), inputs)
         fresh = not self._generations and resume.memory.version > 0
         if fresh and not self._lockstep:  # in lockstep every version is learnt again
             for kept in self.bus.query(keys.KEPT_MODEL, QUERY_S, model=self.instance):
@@ -204,13 +205,13 @@ class Evolver:
         self._generations += self._learner.generations
         self._learnt_version = self._mirror.version
         if not self._missed:  # of what was missed the newest will do
-            self._show(best)
+            self._show(best, inputs)
         if self._learnt_version - self._kept_version >= self._every:
             self._keep()
         self._step_s = time.perf_counter() - started
 
-    def _show(self, best: Best) -> None:
-        """Publish the best network as the current model."""
+    def _show(self, best: Best, inputs: Floats) -> None:
+        """Publish the best network as the current model, with the inputs (n, inputs) that support it if asked for."""
         self._error = best.error
         layers, weights = best.network.to_arrays()
         self._publisher.put(
@@ -221,6 +222,7 @@ class Evolver:
                 layers=layers,
                 weights=np.ascontiguousarray(weights, np.float32),
                 error=best.error,
+                support=inputs if self._tells_support else None,
             )
         )
 

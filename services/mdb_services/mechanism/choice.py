@@ -7,31 +7,44 @@ of the world model's own outputs (the trivial satisfaction model of the operatio
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mdb_services.mechanism.encoding import Codebook, Facts, with_changes
-from mdb_services.mechanism.network import Network
+from mdb_services.mechanism.network import Floats, Network
 
 RANDOM = "random"
 """The mode when no model pair applies, or while exploration is forced."""
 
 GOOD_ERROR = 0.05
 """Mean squared, in scaled units: what a model has that has learnt well from a teacher who never errs (ours)."""
+SUPPORTED = 0.5
+"""What has more support than this has been tried, or its like has (ours)."""
+ALIKE = 1e-6
+"""Hopes that differ by less are equal."""
 
 
 @dataclass(frozen=True)
 class Mode:
     """One pair of models that can act. `satisfaction` is a model's name or an output of the world model.
 
-    While the best predicted satisfaction is below `aspiration`, the action that was tried longest ago under this
-    command is taken with probability `exploration` (ours: without it a robot that obeys wrongly sees only what it
-    does wrongly, and a uniformly random action can miss the right one for hundreds of iterations). What cannot be
-    foreseen is not aspired to: the aspiration is less by the root of the mean squared error beyond `GOOD_ERROR` that
-    the model has over its memory. So a teacher who errs is obeyed, and one who does not loses nothing.
+    Satisfactions are in scaled units: -1 to 1 is the range of their channel. All of what follows is ours.
+
+    A model is believed as far as its memory supports it. With `reach`, a predicted satisfaction counts by its support
+    `exp(-(d / reach)^2)`, where d is the distance from the model's inputs to the nearest pair that it was learnt from,
+    in scaled units: what nothing is known of promises 0, neither good nor bad. Without that, extrapolation decides
+    what a robot does alone, and a new teacher's notes mean what the old one's meant until each was tried.
+
+    While the best promise is below `aspiration`, something else is tried: what may be better by `curiosity` times
+    `sqrt(1 - support)`. A graded reward for one wrong action so tells about its neighbours. Where nothing may be
+    better, it is what was tried longest ago under this command, with probability `exploration`; with `reach`, once all
+    is supported, no more often than the model errs, for what is known and certain need not be tried again. What cannot
+    be foreseen is not aspired to: the aspiration is less by the root of the mean squared error beyond `GOOD_ERROR`
+    that the model has over its memory. So a teacher who errs is obeyed, and one who does not loses nothing.
     """
 
     name: str
@@ -39,6 +52,20 @@ class Mode:
     satisfaction: str
     aspiration: float | None = None
     exploration: float = 0.0
+    reach: float | None = None
+    curiosity: float = 0.0
+
+    def valued_by(self, outputs: Collection[str]) -> str:
+        """Return the model that tells the satisfaction, given the outputs of the world model."""
+        return self.world if self.satisfaction in outputs else self.satisfaction
+
+
+class Known(NamedTuple):
+    """A current model ready to use; support: inputs (n, inputs) of the pairs it was learnt from, None if not told."""
+
+    codebook: Codebook
+    network: Network
+    support: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -51,44 +78,67 @@ class Choice:
     predicted: float | None
 
 
-Models = Mapping[str, tuple[Codebook, Network]]
+Models = Mapping[str, Known]
 
 
-def satisfactions(mode: Mode, models: Models, facts: Facts, actions: int) -> NDArray[np.float64] | None:
-    """Return the satisfaction foreseen for each action (actions,), or None when an input is missing.
+class Foreseen(NamedTuple):
+    """For each action (actions,): the satisfaction predicted, in scaled units, and how far it is supported, 0 to 1."""
 
-    `facts` holds what is known before acting, each of shape (1,). The satisfaction is not cut off at the
-    models' bound: several actions often promise the most there is, and the first of equals, which would be
-    taken, is no better than the others (ours; measured: it is what let the robot bump into the object).
+    satisfaction: NDArray[np.float64]
+    support: NDArray[np.float64]
+
+    @property
+    def promise(self) -> NDArray[np.float64]:
+        """What is believed of it (actions,)."""
+        return self.satisfaction * self.support
+
+
+def foresee(mode: Mode, models: Models, facts: Facts, actions: int) -> Foreseen | None:
+    """Return what a mode foresees for each action, or None when an input is missing.
+
+    `facts` holds what is known before acting, each of shape (1,). With `reach` the satisfaction is cut off at -1 and
+    1, where targets end, and the support tells equals apart. Without, it is not: several actions often promise the
+    most there is, and the first of equals, which would be taken, is no better than the others (ours; measured: it is
+    what let the robot bump into the object).
     """
-    if mode.world not in models:
+    world = models.get(mode.world)
+    if world is None:
         return None
-    codebook, world = models[mode.world]
     known = {name: np.repeat(values, actions) for name, values in facts.items()}
     known["action"] = np.arange(actions, dtype=np.float64)
-    rows = codebook.input_rows(known)
+    rows = world.codebook.input_rows(known)
     if rows is None:
         return None
-    if mode.satisfaction in codebook.outputs:
-        return codebook.predicted(world.sums(rows))[mode.satisfaction]
-    known |= codebook.predicted(world.predict(rows))
-    if mode.satisfaction not in models:
-        return None
-    codebook, satisfaction = models[mode.satisfaction]
-    rows = codebook.input_rows(with_changes(known))
-    return None if rows is None else satisfaction.sums(rows)[:, 0].astype(np.float64)
+    valued, output = world, 0
+    if mode.satisfaction in world.codebook.outputs:
+        output = world.codebook.outputs.index(mode.satisfaction)
+    else:
+        known |= world.codebook.predicted(world.network.predict(rows))
+        if mode.satisfaction not in models:
+            return None
+        valued = models[mode.satisfaction]
+        rows = valued.codebook.input_rows(with_changes(known))
+        if rows is None:
+            return None
+    sums = valued.network.sums(rows)[:, output].astype(np.float64)
+    if mode.reach is None or valued.support is None:
+        return Foreseen(sums, np.ones(actions))
+    return Foreseen(np.clip(sums, -1, 1), supported(rows, valued.support, mode.reach))
 
 
-def aspired(mode: Mode, models: Models, errors: Mapping[str, float]) -> float:
-    """Return what the best action must promise for a mode to be content, with these errors of the models.
+def supported(rows: Floats, support: Floats, reach: float) -> NDArray[np.float64]:
+    """Return how far pairs with inputs (n, inputs) support each row (rows, inputs): 1 at a pair, less beyond (rows,)."""
+    nearest = [np.square(support - row).sum(axis=1).min(initial=np.inf) for row in rows]
+    return np.exp(-np.array(nearest, dtype=np.float64) / reach**2)
+
+
+def shortfall(mode: Mode, models: Models, errors: Mapping[str, float]) -> float:
+    """Return by how much less is aspired to, for what the model that tells the satisfaction cannot foresee.
 
     errors: mean squared, each over its model's memory, in scaled units, by the model's name; unknown ones count as 0.
     """
-    if mode.aspiration is None:
-        return -math.inf
-    of_world = mode.satisfaction in models[mode.world][0].outputs
-    error = errors.get(mode.world if of_world else mode.satisfaction, 0.0)
-    return mode.aspiration - math.sqrt(max(error - GOOD_ERROR, 0.0))
+    error = errors.get(mode.valued_by(models[mode.world].codebook.outputs), 0.0)
+    return math.sqrt(max(error - GOOD_ERROR, 0.0))
 
 
 def choose(
@@ -104,21 +154,33 @@ def choose(
     """Return the choice of the first mode whose inputs are present; a random action when none is.
 
     `tried` (actions,) tells the iteration in which each action was last taken under this command; `errors` those of
-    the models, see `aspired`. Forced exploration is uniformly random (paper, section 3); a dissatisfied mode explores
-    what was tried longest ago.
+    the models, see `shortfall`. Forced exploration is uniformly random (paper, section 3); how a mode that is not
+    content explores is told in `Mode`.
     """
     explores, other = rng.random(), int(rng.integers(tried.size))
     for mode in modes:
-        foreseen = satisfactions(mode, models, facts, tried.size)
+        foreseen = foresee(mode, models, facts, tried.size)
         if foreseen is None:
             continue
-        best = int(np.argmax(foreseen))
-        dissatisfied = foreseen[best] < aspired(mode, models, errors or {})
-        explored = forced_exploration or (dissatisfied and explores < mode.exploration)
-        action = best
-        if forced_exploration:
-            action = other
-        elif explored:
-            action = int(rng.choice(np.flatnonzero(tried == tried.min())))
-        return Choice(action, mode.name, explored, float(foreseen[action]))
+        action = int(np.argmax(foreseen.promise))
+        another = other if forced_exploration else None
+        if not forced_exploration and mode.aspiration is not None:
+            less = shortfall(mode, models, errors or {})
+            if foreseen.promise[action] < mode.aspiration - less:
+                known = mode.reach is not None and foreseen.support.min() >= SUPPORTED
+                again = min(mode.exploration, less) if known else mode.exploration
+                another = _another(mode, foreseen, tried, rng, again=explores < again)
+        explored = another is not None
+        action = action if another is None else another
+        return Choice(action, mode.name, explored, float(foreseen.satisfaction[action]))
     return Choice(other, RANDOM, True, None)
+
+
+def _another(
+    mode: Mode, foreseen: Foreseen, tried: NDArray[np.int64], rng: np.random.Generator, *, again: bool
+) -> int | None:
+    """Return what a mode that is not content tries in the place of what promises most; None: nothing else."""
+    hopes = foreseen.promise + mode.curiosity * np.sqrt(1 - foreseen.support)
+    if hopes[np.argmax(foreseen.promise)] < hopes.max() - ALIKE:
+        return int(rng.choice(np.flatnonzero(hopes >= hopes.max() - ALIKE)))
+    return int(rng.choice(np.flatnonzero(tried == tried.min()))) if again else None

@@ -5,9 +5,11 @@ section 2.2; the strategy is in its reference 12 and ours in detail). Each pair 
 
     L = Kt * T + Kd * d + Kc * C + Kr * R
 
-and the pair with the lowest leaves when the memory is full: T recency, d distance in input space to the
-nearest other pair (so that of pairs contradicting each other the older leaves), C the current model's error
-on the pair, R the error when it entered. Each term is scaled to [0, 1] over the stored pairs. Kt = 1 and the
+and the pair with the lowest leaves when the memory is full: T recency, d distance to the nearest other pair, C the
+current model's error on the pair, R the error when it entered. The distance is over the inputs, so that of pairs
+contradicting each other the older leaves, or over inputs and targets: then both stay, as they must where the inputs
+do not tell everything (ours: a robot that obeys feels few punishments, and a model that forgets them promises too
+much for what it no longer knows). Each term is scaled to [0, 1] over the stored pairs. Kt = 1 and the
 rest 0 is first in, first out. The newcomer itself is never the one that leaves.
 
 When the context has changed (`context.py`), the weights are those of the temporal setting until the new context
@@ -38,6 +40,9 @@ class MemoryConfig:
     """Kt: keep what came last."""
     distance: float = 0.0
     """Kd: keep what is unlike all others."""
+    outcome: float = 0.0
+    """How much the targets count in that distance, where the inputs count 1: above 0, two pairs that began alike and
+    ended differently are unlike, and both stay."""
     current_error: float = 0.0
     """Kc: keep what the current model predicts badly."""
     entry_error: float = 0.0
@@ -47,6 +52,8 @@ class MemoryConfig:
         weights = (self.recency, self.distance, self.current_error, self.entry_error)
         if not all(0 <= weight < np.inf for weight in weights) or sum(weights) == 0:
             raise ValueError(f"label weights are {weights}; expected none negative and one positive at least")
+        if not 0 <= self.outcome < np.inf:
+            raise ValueError(f"outcome is {self.outcome}; expected 0, or a positive number")
 
 
 @dataclass(frozen=True)
@@ -153,12 +160,16 @@ class ShortTermMemory(MemoryMirror):
     def __init__(self, capacity: int, inputs: int, outputs: int, config: MemoryConfig) -> None:
         super().__init__(capacity, inputs, outputs)
         self.config = config
+        self._outcome = np.float32(config.outcome)
         self._orders = np.zeros(capacity, dtype=np.int64)
         self._entry_errors = np.zeros(capacity)
         self._distances = np.full((capacity, capacity), np.inf, dtype=np.float32)
 
     def configure(self, config: MemoryConfig) -> None:
-        """Change the label's weights, say to the temporal setting when the context has changed."""
+        """Change the label's weights, say to the temporal setting when the context has changed.
+
+        What the outcome counts in distances stays: they are measured when a pair enters.
+        """
         self.config = config
 
     def insert(
@@ -179,11 +190,12 @@ class ShortTermMemory(MemoryMirror):
         if not np.isfinite(error_at_entry):
             raise ValueError(f"error at entry is {error_at_entry}; expected a finite number: predict the pair first")
         row = _rows(np.asarray(input_row)[None], (1, self._inputs.shape[1]), "input row")
+        targets = _rows(np.asarray(target_row)[None], (1, self._targets.shape[1]), "target row")
         full = len(self) == self.capacity
-        slot = self._lowest(self._gaps(row[0]), errors_now) if full else int(np.argmin(self._used))
+        slot = self._lowest(self._gaps(row[0], targets[0]), errors_now) if full else int(np.argmin(self._used))
         evicted = (int(self._ids[slot]),) if full else ()
         change = Change(self.version + 1, (slot,), (id,), evicted)
-        self._write(change, row, np.asarray(target_row)[None], error_at_entry)
+        self._write(change, row, targets, error_at_entry)
         return change
 
     def since(self, version: int) -> tuple[Floats, Floats, NDArray[np.float64]]:
@@ -226,7 +238,7 @@ class ShortTermMemory(MemoryMirror):
 
     def _measure(self, slot: int) -> None:
         """Write the distances of a slot's pair to all others."""
-        gaps = np.where(self._used, self._gaps_to_all(self._inputs[slot]), np.float32(np.inf))
+        gaps = np.where(self._used, self._gaps_to_all(self._inputs[slot], self._targets[slot]), np.float32(np.inf))
         gaps[slot] = np.inf
         self._distances[slot], self._distances[:, slot] = gaps, gaps
 
@@ -248,15 +260,18 @@ class ShortTermMemory(MemoryMirror):
         for slot in slots:
             self._measure(int(slot))
 
-    def _gaps_to_all(self, row: Floats) -> Floats:
-        """Return the squared distances (capacity,) of a row to what is in each slot, in input space."""
+    def _gaps_to_all(self, row: Floats, target: Floats) -> Floats:
+        """Return the squared distances (capacity,) of a pair to what is in each slot."""
         difference = self._inputs - row
         squared: Floats = np.einsum("ij,ij->i", difference, difference)
+        if self._outcome:
+            difference = self._targets - target
+            squared += self._outcome * np.einsum("ij,ij->i", difference, difference)
         return squared
 
-    def _gaps(self, row: Floats) -> Floats:
-        """Return the squared distances (n,) of a row to all stored ones."""
-        return self._gaps_to_all(row)[self._used]
+    def _gaps(self, row: Floats, target: Floats) -> Floats:
+        """Return the squared distances (n,) of a pair to all stored ones."""
+        return self._gaps_to_all(row, target)[self._used]
 
     def _lowest(self, gaps: Floats, errors_now: NDArray[Any] | None) -> int:
         labels = self._labels(gaps, errors_now)
