@@ -1,4 +1,4 @@
-"""The figures of the studies in `study`: every seed a dot or a thin line, every statistic with its interval.
+"""Figures of comparisons: every seed a dot or a thin line, every statistic with its interval.
 
 Owns how they look; needs matplotlib, like `figures`.
 """
@@ -16,13 +16,16 @@ import numpy as np
 from mdb_sim import measures
 from mdb_sim.figures import BLUE, GREEN, INK, MUTED, ORANGE, band, note, save
 from mdb_sim.record import Floats
-from mdb_sim.study import FEWEST, ComingsRow, Quantity, percent, seeds_text
+from mdb_sim.report.comings import ComingsRow
+from mdb_sim.report.quantities import Quantity
+from mdb_sim.report.statistics import FEWEST, percent, seeds_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 COLUMNS = 2
+KINDS = ("png",)
 ROW_IN, WIDTH_IN = 0.3, 11.0
 """Inches of figure for a row of a panel, and for a figure."""
 COLOURS = {"": MUTED, "better": GREEN, "worse": ORANGE}
@@ -32,14 +35,14 @@ TICKS = (1, 5, measures.RECENT, 100, 500, 2000)
 """Iterations of a coming that are named at its axis: among them the first whole window."""
 
 
-def draw_ablation(quantities: Sequence[Quantity], stem: Path) -> list[Path]:
-    """Draw one panel a measure with one row a variant, as PNG and SVG; return the files."""
+def draw_quantities(quantities: Sequence[Quantity], stem: Path, title: str) -> list[Path]:
+    """Draw one panel a measure with one row a variant; return the files."""
     rows = math.ceil(len(quantities) / COLUMNS)
     height_in = rows * (1.0 + ROW_IN * len(quantities[0].values)) + 0.8
-    return save(stem, (WIDTH_IN, height_in), lambda figure: _fill_ablation(quantities, figure))
+    return save(stem, (WIDTH_IN, height_in), lambda figure: _fill_quantities(quantities, title, figure), KINDS)
 
 
-def _fill_ablation(quantities: Sequence[Quantity], figure: Figure) -> None:
+def _fill_quantities(quantities: Sequence[Quantity], title: str, figure: Figure) -> None:
     rows = math.ceil(len(quantities) / COLUMNS)
     panels: list[Axes] = list(figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).flat)
     for axes, quantity in zip(panels, quantities, strict=False):
@@ -48,7 +51,7 @@ def _fill_ablation(quantities: Sequence[Quantity], figure: Figure) -> None:
         axes.set_visible(False)
     seeds, reference = quantities[0].seeds, quantities[0].reference
     figure.suptitle(
-        f"What each ingredient brings: {seeds_text(seeds)}, each a dot; bar: 95 % interval",
+        f"{title}: {seeds_text(seeds)}, each a dot; bar: 95 % interval",
         x=0.01, ha="left", fontsize=12,
     )  # fmt: skip
     _legend(figure, reference, clear=len(seeds) >= FEWEST)
@@ -122,10 +125,10 @@ def _never_edge(axes: Axes, finite: Sequence[float]) -> float:
 
 
 def draw_comings(results: Mapping[str, Sequence[ComingsRow]], stem: Path) -> list[Path]:
-    """Draw obedience within each coming, one row of panels a teacher, as PNG and SVG; return the files."""
+    """Draw obedience within each coming, one row of panels a teacher; return the files."""
     comings = next(iter(results.values()))[0].comings
     teachers = list(dict.fromkeys(coming.teacher for coming in comings))
-    return save(stem, (WIDTH_IN, 1.0 + 3.1 * len(teachers)), lambda figure: _fill_comings(results, figure))
+    return save(stem, (WIDTH_IN, 1.0 + 3.1 * len(teachers)), lambda figure: _fill_comings(results, figure), KINDS)
 
 
 def _fill_comings(results: Mapping[str, Sequence[ComingsRow]], figure: Figure) -> None:
