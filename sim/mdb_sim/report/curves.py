@@ -16,6 +16,7 @@ from mdb_sim import measures
 from mdb_sim.figures import BLUE, GREEN, INK, MUTED, ORANGE, TEACHER_SHADES, band, note, save
 from mdb_sim.record import Floats
 from mdb_sim.report.acceptance import ALONE_WORST
+from mdb_sim.report.drawings import KINDS
 from mdb_sim.report.quantities import Runs, phases_of
 from mdb_sim.report.statistics import estimate
 from mdb_sim.studies.rows import Curve, PhaseRow
@@ -37,12 +38,11 @@ ERRORS: tuple[tuple[str, Callable[[PhaseRow], Floats]], ...] = (
     ("Over all command–action pairs of the present language", lambda row: row.pair_error_curve.astype(np.float64)),
 )
 """The panels of figure 4."""
-KINDS = ("png",)
 
 
-def draw_errors(runs: Runs, stem: Path) -> list[Path]:
+def draw_errors(runs: Runs, stem: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
     """Draw figure 4, mean and band of each variant; return the files."""
-    return save(stem, (9.0, 7.6), lambda figure: _fill_errors(runs, figure), KINDS)
+    return save(stem, (9.0, 7.6), lambda figure: _fill_errors(runs, figure), kinds)
 
 
 def _fill_errors(runs: Runs, figure: Figure) -> None:
@@ -80,9 +80,9 @@ def _draw_bands(axes: Axes, runs: Runs, measure: Callable[[PhaseRow], Floats]) -
     return highest
 
 
-def draw_captures(runs: Runs, stem: Path) -> list[Path]:
+def draw_captures(runs: Runs, stem: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
     """Draw figure 5: each seed thin, mean and band of each variant, and the mean of the ideals; return the files."""
-    return save(stem, (9.0, 5.0), lambda figure: _fill_captures(runs, figure), KINDS)
+    return save(stem, (9.0, 5.0), lambda figure: _fill_captures(runs, figure), kinds)
 
 
 def _fill_captures(runs: Runs, figure: Figure) -> None:
@@ -126,9 +126,9 @@ def _draw_ideal(axes: Axes, runs: Runs) -> None:
     axes.plot(x, y, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), label="ideal")
 
 
-def draw_paths(runs: Runs, stem: Path) -> list[Path]:
+def draw_paths(runs: Runs, stem: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
     """Draw figure 6 for each variant's first seed: with a teacher, and without; return the files."""
-    return save(stem, (9.0, 4.9 * len(runs)), lambda figure: _fill_paths(runs, figure), KINDS)
+    return save(stem, (9.0, 4.9 * len(runs)), lambda figure: _fill_paths(runs, figure), kinds)
 
 
 def _fill_paths(runs: Runs, figure: Figure) -> None:
@@ -171,9 +171,9 @@ def _draw_path(axes: Axes, path: Curve, colour: str) -> None:
     axes.plot(*centre, ".", color=colour, markersize=1)
 
 
-def draw_life(runs: Runs, stem: Path) -> list[Path]:
+def draw_life(runs: Runs, stem: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
     """Draw the shares of the ideal phase by phase, of the first variant; return the files."""
-    return save(stem, (10.0, 4.6), lambda figure: _fill_life(runs, figure), KINDS)
+    return save(stem, (10.0, 4.6), lambda figure: _fill_life(runs, figure), kinds)
 
 
 def _fill_life(runs: Runs, figure: Figure) -> None:
@@ -213,10 +213,10 @@ def _share_axis(axes: Axes) -> None:
     axes.set_ylabel("captures : ideal")
 
 
-def draw_seeds(runs: Runs, stem: Path) -> list[Path]:
+def draw_seeds(runs: Runs, stem: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
     """Draw every seed's share of its ideal in each phase of the first variant; return the files."""
     count = len(phases_of(runs))
-    return save(stem, (9.0, 2.3 * count + 0.6), lambda figure: _fill_seeds(runs, figure), KINDS)
+    return save(stem, (9.0, 2.3 * count + 0.6), lambda figure: _fill_seeds(runs, figure), kinds)
 
 
 def _fill_seeds(runs: Runs, figure: Figure) -> None:

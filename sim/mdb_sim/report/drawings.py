@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 COLUMNS = 2
 KINDS = ("png",)
+"""Kinds of files that are drawn unless others are asked for."""
 ROW_IN, WIDTH_IN = 0.3, 11.0
 """Inches of figure for a row of a panel, and for a figure."""
 COLOURS = {"": MUTED, "better": GREEN, "worse": ORANGE}
@@ -35,11 +36,13 @@ TICKS = (1, 5, measures.RECENT, 100, 500, 2000)
 """Iterations of a coming that are named at its axis: among them the first whole window."""
 
 
-def draw_quantities(quantities: Sequence[Quantity], stem: Path, title: str) -> list[Path]:
+def draw_quantities(
+    quantities: Sequence[Quantity], stem: Path, title: str, kinds: Sequence[str] = KINDS
+) -> list[Path]:
     """Draw one panel a measure with one row a variant; return the files."""
     rows = math.ceil(len(quantities) / COLUMNS)
     height_in = rows * (1.0 + ROW_IN * len(quantities[0].values)) + 0.8
-    return save(stem, (WIDTH_IN, height_in), lambda figure: _fill_quantities(quantities, title, figure), KINDS)
+    return save(stem, (WIDTH_IN, height_in), lambda figure: _fill_quantities(quantities, title, figure), kinds)
 
 
 def _fill_quantities(quantities: Sequence[Quantity], title: str, figure: Figure) -> None:
@@ -124,11 +127,11 @@ def _never_edge(axes: Axes, finite: Sequence[float]) -> float:
     return edge
 
 
-def draw_comings(results: Mapping[str, Sequence[ComingsRow]], stem: Path) -> list[Path]:
+def draw_comings(results: Mapping[str, Sequence[ComingsRow]], stem: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
     """Draw obedience within each coming, one row of panels a teacher; return the files."""
     comings = next(iter(results.values()))[0].comings
     teachers = list(dict.fromkeys(coming.teacher for coming in comings))
-    return save(stem, (WIDTH_IN, 1.0 + 3.1 * len(teachers)), lambda figure: _fill_comings(results, figure), KINDS)
+    return save(stem, (WIDTH_IN, 1.0 + 3.1 * len(teachers)), lambda figure: _fill_comings(results, figure), kinds)
 
 
 def _fill_comings(results: Mapping[str, Sequence[ComingsRow]], figure: Figure) -> None:

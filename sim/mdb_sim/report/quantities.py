@@ -144,7 +144,14 @@ def phases_of(runs: Runs) -> tuple[PhaseRow, ...]:
 def phase_name(runs: Runs, phase: int) -> str:
     """Return what a phase is called in a table."""
     row = phases_of(runs)[phase]
-    return f"{row.name} ({row.counted_from}–{row.stop})"
+    return f"{row.name} ({row.start}–{row.stop})"
+
+
+def capture_rate(row: PhaseRow) -> float:
+    """Return the captures an iteration once a teacher is obeyed: in the last two thirds of what is counted."""
+    counted = row.captured[row.counted_from - row.start :]
+    settled = counted[len(counted) // 3 :]
+    return float(settled.mean()) if len(settled) else math.nan
 
 
 def all_quantities(runs: Runs) -> list[Quantity]:
@@ -174,9 +181,16 @@ def spread(quantity: Quantity, variant: str) -> str:
     return f"{told}<br>worst {text(value, quantity.shape)} ({seed})"
 
 
+FEW = 3
+"""Up to so many variants stand side by side, a column each; more of them below each other."""
+
+
 def summary(quantities: Sequence[Quantity], what: str = "variant") -> str:
-    """Return a table with a row a variant and a column a measure, each with interval and worst seed."""
+    """Return a table of all measures under all variants, each with interval and worst seed."""
     variants = list(quantities[0].values)
+    if len(variants) <= FEW:
+        lines = [[f"{q.name}, {q.statistic}", *(spread(q, variant) for variant in variants)] for q in quantities]
+        return "\n\n".join([markdown(["", *variants], lines), explained(quantities)])
     head = [what, *(f"{quantity.name}, {quantity.statistic}" for quantity in quantities)]
     rows = [[variant, *(spread(quantity, variant) for quantity in quantities)] for variant in variants]
     return "\n\n".join([markdown(head, rows), explained(quantities)])

@@ -7,7 +7,7 @@ and `curves`. A new study gets a function here and a line in `SECTIONS`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +20,7 @@ from mdb_sim.report.quantities import (
     Quantity,
     Runs,
     all_quantities,
+    capture_rate,
     main_quantities,
     phase_name,
     phases_of,
@@ -91,8 +92,8 @@ def slopes_table(runs: Runs) -> str:
         for taught, alone in pairwise(phases):
             if taught.alone or not alone.alone:
                 continue
-            before = [100 * rate(rows_[taught.phase]) for rows_ in seeds.values()]
-            after = [100 * rate(rows_[alone.phase]) for rows_ in seeds.values()]
+            before = [100 * capture_rate(rows_[taught.phase]) for rows_ in seeds.values()]
+            after = [100 * capture_rate(rows_[alone.phase]) for rows_ in seeds.values()]
             change = [b / a - 1 if a > 0 else math.nan for a, b in zip(before, after, strict=True)]
             cells = [interval(estimate(values, "mean"), number) for values in (before, after)]
             cells.append(interval(estimate(change, "mean"), percent))
@@ -101,16 +102,9 @@ def slopes_table(runs: Runs) -> str:
     return markdown(head, rows)
 
 
-def rate(row: PhaseRow) -> float:
-    """Return the captures an iteration once the teacher is obeyed: in the last two thirds of what is counted."""
-    counted = row.captured[row.counted_from - row.start :]
-    settled = counted[len(counted) // 3 :]
-    return float(settled.mean()) if len(settled) else math.nan
-
-
-def mean_steps(rows: object) -> float:
+def mean_steps(rows: Iterable[PhaseRow]) -> float:
     """Return the mean number of movements to a capture."""
-    steps = [float(step) for row in rows for step in row.capture_steps]  # type: ignore[attr-defined]
+    steps = [float(step) for row in rows for step in row.capture_steps]
     return sum(steps) / len(steps) if steps else math.nan
 
 
