@@ -10,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import sys
+import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
@@ -197,12 +198,17 @@ def _submitted(executor: Executor, tasks: Iterable[Task]) -> Iterator[tuple[Task
 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Give a pool of processes that ends with this one, however that ends."""
+    """Give a pool of processes that ends with this one, however that ends, and leaves no run folder behind."""
+    with tempfile.TemporaryDirectory(prefix="mdb-study-", ignore_cleanup_errors=True) as folder:
+        yield from _processes(workers, folder)
+
+
+def _processes(workers: int, folder: str) -> Iterator[ProcessPoolExecutor]:
     # Ended by SIGTERM without this, it would leave its workers behind.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     mine = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(max(1, workers), mp_context=context, initializer=_begin_worker)
+    pool = ProcessPoolExecutor(max(1, workers), mp_context=context, initializer=_begin_worker, initargs=(folder,))
     try:
         yield pool
     except BaseException:
@@ -215,8 +221,9 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, which ends the runs, and standard output to the table."""
+def _begin_worker(folder: str) -> None:
+    """Leave Ctrl-C to the parent, which ends the runs, and standard output to the table; work in its folder."""
+    tempfile.tempdir = folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     running.quiet()

@@ -236,6 +236,7 @@ def _fill_seeds(runs: Runs, figure: Figure) -> None:
         _share_axis(axes)
         axes.set_title(f"{row.name}, {row.counted_from}–{row.stop}: mean {100 * found.value:.1f} %")
     panels[-1].set_xlabel("seed")
+    panels[-1].locator_params(axis="x", integer=True)
     _title(figure, runs, "")
 
 
