@@ -168,7 +168,7 @@ def test_the_short_experiment_of_the_other_tests_has_the_same_variants() -> None
 
 
 def wanted(out: Path, *overrides: str, **changes: Any) -> Sweep:
-    settings = {"seeds": (801, 802), "workers": 1} | changes
+    settings = {"seeds": (801, 802), "workers": 0} | changes
     return Sweep(experiment=PAPER, overrides=(*TINY, *PHASES, *overrides), out=out, **settings)
 
 
@@ -178,21 +178,6 @@ def swept(study: str, of: Sweep) -> tuple[sweep.Outcome, str]:
     return outcome, told.getvalue()
 
 
-@pytest.fixture
-def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do the runs in this process: a pool takes seconds to begin."""
-
-    def answers(tasks: Any, _: Sweep) -> Any:
-        for task in tasks:
-            try:
-                yield task, running.do(task)
-            except Exception as error:
-                yield task, error
-
-    monkeypatch.setattr(sweep, "_answers", answers)
-
-
-@pytest.mark.usefixtures("_here")
 def test_an_interrupted_sweep_goes_on_where_it_stopped_and_leaves_no_run_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,7 +197,6 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped_and_leaves_no_run_folder(
     assert all(path.stat().st_mtime_ns == before[path] for path in files[1:])
 
 
-@pytest.mark.usefixtures("_here")
 def test_another_experiment_another_code_and_fresh_are_run_again_and_another_study_shares(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -226,7 +210,6 @@ def test_another_experiment_another_code_and_fresh_are_run_again_and_another_stu
     assert swept("alone", of)[0].done == 1
 
 
-@pytest.mark.usefixtures("_here")
 def test_a_run_that_fails_is_named_and_does_not_end_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -239,14 +222,13 @@ def test_a_run_that_fails_is_named_and_does_not_end_the_others(
 
     monkeypatch.setattr(running, "do", do)
     settings = [word for override in (*TINY, *PHASES) for word in ("--set", override)]
-    status = main(["study", "alone", "--seeds", "801-802", "--out", str(tmp_path), *settings])
+    status = main(["study", "alone", "--seeds", "801-802", "--workers", "0", "--out", str(tmp_path), *settings])
     out, progress = capsys.readouterr()
     assert status == 3
     assert "failed: alone, as shipped, seed 801: RuntimeError: the disk is full" in progress
     assert "seed 802" in out
 
 
-@pytest.mark.usefixtures("_here")
 def test_run_folders_are_kept_when_that_is_asked_for(tmp_path: Path) -> None:
     of = wanted(tmp_path, seeds=(801,), keep=True)
     assert swept("alone", of)[0].done == 1
@@ -271,7 +253,7 @@ def test_a_worker_of_another_version_says_so(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_pool_of_processes_gives_what_this_process_gives(tmp_path: Path) -> None:
-    of = wanted(tmp_path, seeds=(801,))
+    of = wanted(tmp_path, seeds=(801,), workers=1)
     task = sweep.tasks_of(STUDIES["alone"], of)[0]
     assert swept("alone", of)[0].done == 1
     here, there = decode(running.do(task)), sweep.results_of([task], tmp_path)[0]
@@ -283,10 +265,9 @@ def test_a_pool_of_processes_gives_what_this_process_gives(tmp_path: Path) -> No
 
 def study(*words: str) -> int:
     settings = [word for override in TINY for word in ("--set", override)]
-    return main(["study", *words, "--seeds", "801,802", "--workers", "1", *settings])
+    return main(["study", *words, "--seeds", "801,802", "--workers", "0", *settings])
 
 
-@pytest.mark.usefixtures("_here")
 def test_an_ablation_makes_table_and_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     phases = [word for override in PHASES for word in ("--set", override)]
     assert study("ablation", "--only", "no-aspiration", "--out", str(tmp_path), *phases) == 0
@@ -296,7 +277,6 @@ def test_an_ablation_makes_table_and_figure(tmp_path: Path, capsys: pytest.Captu
     assert (tmp_path / "ablation.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.usefixtures("_here")
 def test_comings_are_compared_with_and_without_a_long_term_memory_and_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -309,10 +289,9 @@ def test_comings_are_compared_with_and_without_a_long_term_memory_and_reported(
     assert "`mdb study memory` is missing" in report.read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("_here")
 def test_an_acceptance_that_misses_a_criterion_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     settings = [word for override in (*TINY, *PHASES, tables.KINEMATIC) for word in ("--set", override)]
-    assert main(["acceptance", "--seeds", "801", "--out", str(tmp_path), *settings]) == 1
+    assert main(["acceptance", "--seeds", "801", "--workers", "0", "--out", str(tmp_path), *settings]) == 1
     out, _ = capsys.readouterr()
     assert (tmp_path / "acceptance.md").read_text(encoding="utf-8") == out
     assert "**no**" in out

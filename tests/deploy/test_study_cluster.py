@@ -27,7 +27,7 @@ def test_a_cluster_of_which_a_worker_is_killed_gives_what_this_machine_gives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seeds = tuple(range(801, 807))
-    local = wanted(tmp_path / "local", "experiment.iterations=200", seeds=seeds)
+    local = wanted(tmp_path / "local", "experiment.iterations=200", seeds=seeds, workers=1)
     tasks = sweep.tasks_of(STUDIES["reproduction"], local)
     assert sweep.run(tasks, local).done == len(tasks)
 

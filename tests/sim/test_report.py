@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from mdb_sim.report import document
-from mdb_sim.report.paper import NOT_YET, STATEMENTS, statements_table
+from mdb_sim.report.measured import NOT_YET
+from mdb_sim.report.paper import STATEMENTS, statements_table
 from mdb_sim.report.sections import SECTIONS
 from mdb_sim.studies import tables
 from mdb_sim.studies.catalogue import REPORTED, STUDIES

@@ -73,7 +73,9 @@ def _add_sweep(parser: argparse.ArgumentParser, seeds: str | None, out: Path) ->
     parser.add_argument("--seeds", default=seeds, help=f"as in 11-20 or 1,4,9 ({usual})")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="override any setting")
     parser.add_argument("--out", type=Path, default=out, help=f"where results and report go ({out})")
-    parser.add_argument("--workers", type=int, default=2, help="runs at the same time (2)")
+    parser.add_argument(
+        "--workers", type=int, default=2, help="runs at the same time, each in a process; 0: in this one (2)"
+    )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="do the runs on a Dask cluster, as tcp://host:8786")
     parser.add_argument("--keep", action="store_true", help="keep the run folders too, below --out/runs")
     parser.add_argument("--fresh", action="store_true", help="run again also what is there already")

@@ -44,6 +44,7 @@ class Sweep:
     overrides: tuple[str, ...]
     out: Path
     workers: int = 2
+    """Processes that do the runs; 0: this one does them, one after the other."""
     scheduler: str | None = None
     """Address of a Dask scheduler; without one the runs are done here."""
     keep: bool = False
@@ -175,6 +176,9 @@ def _answers(tasks: Sequence[Task], sweep: Sweep) -> Iterator[tuple[Task, bytes 
         with _cluster(sweep.scheduler) as executor:
             yield from _submitted(executor, tasks)
         return
+    if sweep.workers == 0:
+        yield from _one_after_the_other(tasks)
+        return
     left = list(tasks)
     for attempt in range(ATTEMPTS):
         again = []
@@ -187,6 +191,14 @@ def _answers(tasks: Sequence[Task], sweep: Sweep) -> Iterator[tuple[Task, bytes 
         left = again
         if not left:
             return
+
+
+def _one_after_the_other(tasks: Iterable[Task]) -> Iterator[tuple[Task, bytes | BaseException]]:
+    for task in tasks:
+        try:
+            yield task, running.do(task)
+        except Exception as error:
+            yield task, error
 
 
 def _submitted(executor: Executor, tasks: Iterable[Task]) -> Iterator[tuple[Task, bytes | BaseException]]:

@@ -1,35 +1,33 @@
 """The statements of the paper's sections 2 and 3, one by one: what is kept of each, where, and what was measured.
 
-Owns the rows and the measures that fill their last column, from the results of the study `reproduction` (graded
-reward unless said) and of others where named. "Faithful": as the paper says. "Adapted": its idea, done in another
-way or with details that it leaves out. "Missing": not here.
+Owns the rows; what fills their last column is in `measured`. "Faithful": as the paper says. "Adapted": its idea,
+done in another way or with details that it leaves out. "Missing": not here, or not seen here.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from mdb_sim.report.comings import comings_of
-from mdb_sim.report.quantities import OBEDIENCE, SHARE, TO_ERROR, TO_OBEDIENCE, Measure, Runs, capture_rate, runs_of
-from mdb_sim.report.statistics import Shape, Statistic, estimate, interval, markdown, number, percent, text
-from mdb_sim.studies import tables
-from mdb_sim.studies.results import Result
-from mdb_sim.studies.rows import PhaseRow
+from mdb_sim.report.measured import (
+    Found,
+    Measured,
+    gap,
+    in_reproduction,
+    later_is_better,
+    movements,
+    over_seeds,
+    random_part,
+    relearning,
+    returns,
+    second_teacher,
+    slopes,
+    two_phases,
+)
+from mdb_sim.report.quantities import OBEDIENCE, SHARE, TO_ERROR
+from mdb_sim.report.statistics import markdown
 
 Verdict = Literal["faithful", "adapted", "missing"]
-Found = Mapping[str, Sequence[Result]]
-"""Results by study."""
-Seeds = Mapping[int, Sequence[PhaseRow]]
-Measured = Callable[[Found], str]
-
-MAIN = "reproduction"
-GRADED, BINARY = "graded reward", "binary reward"
-NOT_YET = "not measured yet"
 MECHANISM, SIM = "services/mdb_services/mechanism", "sim/mdb_sim"
 
 
@@ -63,125 +61,6 @@ def statements_table(found: Found) -> str:
 def _left(table: str) -> str:
     """Return a table of words, all columns to the left."""
     return table.replace("--:", "---", 4 if table.count("--:") >= 4 else 0)
-
-
-# ---- what was measured ----
-
-
-def _runs(found: Found, study: str) -> Runs | None:
-    results = found.get(study)
-    if not results:
-        return None
-    body = results[0].label.body
-    return runs_of(result for result in results if result.label.body == body)
-
-
-def _main(told: Callable[[Seeds], str], variant: str = GRADED) -> Measured:
-    """Return what is told of the runs of the reproduction."""
-
-    def measured(found: Found) -> str:
-        runs = _runs(found, MAIN)
-        if runs is None or not runs.get(variant):
-            return NOT_YET
-        return told(runs[variant])
-
-    return measured
-
-
-def _of(measure: Measure, phase: int) -> Callable[[Seeds], str]:
-    def told(seeds: Seeds) -> str:
-        rows = [rows[phase] for rows in seeds.values()]
-        return _spread([measure.value(row) for row in rows], seeds, measure.statistic, measure.shape)
-
-    return told
-
-
-def _spread(values: Sequence[float], seeds: Seeds, statistic: Statistic, shape: Shape) -> str:
-    return f"{statistic} {interval(estimate(values, statistic), shape)} ({len(seeds)} seeds)"
-
-
-def _both(measure: Measure, words: tuple[str, str], phases: tuple[int, int]) -> Callable[[Seeds], str]:
-    return lambda seeds: "; ".join(
-        f"{word}: {_of(measure, phase)(seeds)}" for word, phase in zip(words, phases, strict=True)
-    )
-
-
-def _later_is_better(seeds: Seeds) -> str:
-    def part(row: PhaseRow, part: slice) -> float:
-        errors = row.prequential_curve[np.isfinite(row.prequential_curve)][part]
-        return float(errors.mean()) if len(errors) else math.nan
-
-    first = [part(rows[0], slice(None, 100)) for rows in seeds.values()]
-    last = [part(rows[0], slice(-100, None)) for rows in seeds.values()]
-    return (
-        f"prequential MSE of the first teacher's first 100 commands {interval(estimate(first, 'mean'), percent)}, of "
-        f"the last 100 {interval(estimate(last, 'mean'), percent)}"
-    )
-
-
-def _relearning(seeds: Seeds) -> str:
-    from_zero = [rows[0].iterations_to_error for rows in seeds.values()]
-    again = [rows[2].iterations_to_error for rows in seeds.values()]
-    first, second = estimate(from_zero, "median").value, estimate(again, "median").value
-    return f"iterations to 10 %, medians: first teacher {text(first, number)}, second {text(second, number)}"
-
-
-def _slope(seeds: Seeds) -> str:
-    changes = []
-    for rows in seeds.values():
-        taught, alone = (capture_rate(rows[phase]) for phase in (0, 1))
-        changes.append(alone / taught - 1 if taught > 0 else math.nan)
-    return _spread(changes, seeds, "mean", percent)
-
-
-def _slopes(found: Found) -> str:
-    graded, binary = _main(_slope)(found), _main(_slope, BINARY)(found)
-    return (
-        f"captures an iteration, first phase alone against the phase taught before: graded {graded}; binary {binary}"
-    )
-
-
-def _gap(seeds: Seeds) -> str:
-    def first(row: PhaseRow) -> float:
-        done = np.flatnonzero(row.captured)
-        return float(done[0] + 1) if len(done) else math.inf
-
-    second, alone = [first(rows[2]) for rows in seeds.values()], [first(rows[1]) for rows in seeds.values()]
-    return (
-        f"iterations to the first capture: second teacher {_spread(second, seeds, 'median', number)}, "
-        f"alone before {text(estimate(alone, 'median').value, number)}"
-    )
-
-
-def _random_part(seeds: Seeds) -> str:
-    counts = [float(rows[0].captured[: rows[0].counted_from].sum()) for rows in seeds.values()]
-    until = next(iter(seeds.values()))[0].counted_from
-    return f"captures by chance in 0–{until}: {_spread(counts, seeds, 'mean', number)}"
-
-
-def _movements(seeds: Seeds) -> str:
-    def mean(alone: bool) -> list[float]:
-        return [
-            float(np.mean([step for row in rows if row.alone == alone for step in row.capture_steps] or [math.nan]))
-            for rows in seeds.values()
-        ]
-
-    return (
-        f"movements to a capture: taught {interval(estimate(mean(False), 'mean'), number)}, "
-        f"alone {interval(estimate(mean(True), 'mean'), number)}"
-    )
-
-
-def _returns(found: Found) -> str:
-    runs = _runs(found, "memory")
-    if runs is None:
-        return f"{NOT_YET} (`mdb study memory`)"
-    told = []
-    for variant, rows in comings_of(runs).items():
-        if variant in (tables.LONG_TERM_ON, tables.LONG_TERM_OFF) and rows and len(rows[0].comings) > 2:
-            median = estimate([row.comings[2].iterations for row in rows], "median").value
-            told.append(f"{variant} {text(median, number)}")
-    return f"iterations to 90 % obedience when the first teacher returns, medians: {', '.join(told)}"
 
 
 TEACHERS = ("first teacher", "second")
@@ -231,7 +110,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "With more iterations the models become more accurate, and the actions more appropriate.",
         "faithful",
         "",
-        _main(_later_is_better),
+        in_reproduction(later_is_better),
     ),
     Statement(
         "2.2",
@@ -239,7 +118,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "adapted",
         f"`{MECHANISM}/ltm.py`. When a model is stable, and the sample of pairs that comes back with it, are ours "
         "(the paper refers to its reference 13).",
-        _returns,
+        returns,
     ),
     Statement(
         "2.3",
@@ -305,7 +184,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "If the teacher is consistent, either satisfaction model leads to the same behaviour.",
         "faithful",
         "Captures as a share of the ideal's:",
-        _main(_both(SHARE, ("with the first teacher", "alone after him"), (0, 1))),
+        in_reproduction(two_phases(SHARE, ("with the first teacher", "alone after him"), (0, 1))),
     ),
     Statement(
         "3",
@@ -398,14 +277,14 @@ STATEMENTS: tuple[Statement, ...] = (
         "Figure 4: in the first 500 iterations the error falls fast to below 10 %.",
         "faithful",
         "",
-        _main(_of(TO_ERROR, 0)),
+        in_reproduction(over_seeds(TO_ERROR, 0)),
     ),
     Statement(
         "3",
         "Consequently the robot follows the commands.",
         "faithful",
         "It does; but not as a consequence: see section 2, where the error falls and the robot does not obey.",
-        _main(_of(OBEDIENCE, 0)),
+        in_reproduction(over_seeds(OBEDIENCE, 0)),
     ),
     Statement(
         "3",
@@ -413,56 +292,56 @@ STATEMENTS: tuple[Statement, ...] = (
         "memory of the first one's pairs.",
         "adapted",
         f"A detector of changes (`{MECHANISM}/context.py`) drops the old pairs at once.",
-        _main(_relearning),
+        in_reproduction(relearning),
     ),
     Statement(
         "3",
         "The robot follows the second teacher's commands.",
         "faithful",
         "",
-        _main(lambda seeds: f"obedience {_of(OBEDIENCE, 2)(seeds)}; to 90 %: {_of(TO_OBEDIENCE, 2)(seeds)}"),
+        in_reproduction(second_teacher),
     ),
     Statement(
         "3",
         "World and internal models are learnt in the same way with both teachers.",
         "faithful",
         "Their data hold no language. Captures alone as a share of the ideal's:",
-        _main(_both(SHARE, AFTER, (1, 3))),
+        in_reproduction(two_phases(SHARE, AFTER, (1, 3))),
     ),
     Statement(
         "3",
         "Figure 5: alone, the robot goes on capturing the object.",
         "faithful",
         "Each seed in section 7.",
-        _main(_of(SHARE, 1)),
+        in_reproduction(over_seeds(SHARE, 1)),
     ),
     Statement(
         "3",
         "Figure 5: alone the slope is less, since the robot has learnt to approach, not the fastest way.",
         "missing",
         "Not seen here: the induced model reads the angle too, and facing the object is what is rewarded.",
-        _slopes,
+        slopes,
     ),
     Statement(
         "3",
         "Figure 5: when the second teacher appears, there is a brief gap without captures.",
         "faithful",
         "",
-        _main(_gap),
+        in_reproduction(gap),
     ),
     Statement(
         "3",
         "Figure 5: no captures in the first 200 iterations, because exploration is forced to be random.",
         "faithful",
         "`random_iterations = 200`; some captures happen by chance",
-        _main(_random_part),
+        in_reproduction(random_part),
     ),
     Statement(
         "3",
         "Figure 6: alone the behaviour is basically the same, a little less efficient.",
         "faithful",
         "",
-        _main(_movements),
+        in_reproduction(movements),
     ),
     Statement(
         "3",
