@@ -51,13 +51,6 @@ class KinematicRobot(ArenaRobot):
         self._at = Pose(x_m, y_m, wrap_rad(heading_rad))
         return True
 
-    def _may_touch(self, start: Pose, advance_m: float) -> bool:
-        """Whether anything is within reach of this motion: a cheap answer that spares most searches."""
-        reach_m = BODY_RADIUS_M + abs(BODY_CENTRE_X_M) + advance_m
-        object_m = math.hypot(self._object_m[0] - start.x_m, self._object_m[1] - start.y_m)
-        wall_m = self._half_m - max(abs(start.x_m), abs(start.y_m))
-        return object_m <= reach_m + self.config.object_radius_m or wall_m <= reach_m
-
     def _path(self, start: Pose, turn_rad: float, advance_m: float) -> Array:
         """The motion as poses (n, 3) of x_m, y_m, heading_rad, start and end included."""
         turns = np.linspace(0.0, turn_rad, math.ceil(abs(turn_rad) / CONTACT_STEP_RAD) + 1)

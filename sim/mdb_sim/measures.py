@@ -1,8 +1,8 @@
 """What a run log says of how well the robot learnt: errors told apart, obedience, captures, durations.
 
 Owns the definitions of all measures; pure functions of a `record.RunRecord`. Errors are mean squared errors
-in the models' scaled units, where feedback lies in [-1, 1]; 0.1 is what "10 %" means (simulation notes,
-Errors, told apart). A measure is nan where the log has no data for it, and inf where what is measured never
+in the models' scaled units, where feedback lies in [-1, 1]; 0.1 is what "10 %" means (sim/README.md,
+"Errors, told apart"). A measure is nan where the log has no data for it, and inf where what is measured never
 happened.
 """
 
@@ -18,7 +18,7 @@ from mdb_sim.record import Floats, RunRecord, Span
 from mdb_sim.teacher import FEEDBACKS, FeedbackKind, Language
 
 AVERAGED = 40
-"""Commanded iterations in a running mean (simulation notes: the last 20 to 40)."""
+"""Commanded iterations in a running mean (sim/README.md, "Errors, told apart")."""
 THRESHOLD = 0.1
 """The error below which the paper calls the rewards very accurately predicted (section 3: 10 %)."""
 SETTLED = 0.4

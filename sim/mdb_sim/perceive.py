@@ -4,7 +4,7 @@ Owns: the search for the nearest cluster of echoes and the estimate of its place
 never the simulator's truth.
 
 The angle phi to the object jumps at ±180 degrees, behind the robot. Folded, `alpha = asin(sin(phi))`, and
-joined by a bit that tells front from rear, it does not jump (simulation notes, State; the bit is the paper's,
+joined by a bit that tells front from rear, it does not jump (sim/README.md, "State"; the bit is the paper's,
 section 3).
 """
 

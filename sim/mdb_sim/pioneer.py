@@ -23,7 +23,7 @@ from mdb_sim.sonar import BODY_CENTRE_X_M, SONAR_HEIGHT_M, Array
 WHEEL_RADIUS_M = 0.0825
 TRACK_M = 0.3206
 MASS_KG = 9.0
-"""Simulation notes, Pioneer 2 DX."""
+"""See sim/README.md, "The Pioneer 2 DX"."""
 
 CASTER_X_M, CASTER_RADIUS_M = -0.20, 0.0375
 WHEEL_WIDTH_M = 0.037
@@ -31,11 +31,19 @@ WHEEL_KG, CASTER_KG, AXLE_KG = 0.4, 0.2, 1.0
 BODY_BOTTOM_M, BODY_TOP_M = 0.06, 0.24
 """Where the mass and the shapes are, within the 9 kg and the outline above (ours)."""
 
+SOLVER_ITERATIONS = 50
+"""How often the engine goes over all constraints in a step. With fewer the errors grow
+(ours; sim/README.md, "Physics")."""
+
 TURN_SPEED_M_S, ADVANCE_SPEED_M_S = 0.35, 0.60
+"""Top speeds of a wheel (ours)."""
 ACCELERATION_M_S2 = 2.0
-SLOWDOWN_PER_S = 12.0
-"""Wheel speeds; near its goal the drive goes at most this many times what remains a second (ours)."""
-ARRIVED_M = 0.0005
+BRAKING_M_S2 = 1.6
+"""The drive plans to brake less sharply than its wheels can, so that it does not run past its goal (ours)."""
+SLOWDOWN_PER_S = 40.0
+"""Close to its goal the drive goes at most this many times what remains a second (ours)."""
+ARRIVED_M = 0.0002
+"""A motion is over when the wheels have no more than this to go, together and against each other (ours)."""
 GIVE_UP_S = 4.0
 WHEEL_TORQUE_NM = 6.0
 ROBOT_COLOUR = (0.85, 0.20, 0.10, 1.0)
@@ -104,6 +112,7 @@ class PioneerRobot(ArenaRobot):
         if self._client < 0:
             raise RobotError(f"pybullet gave no physics client (gui={gui}); a process can hold one window only")
         self._step_s = 1.0 / config.physics_hz
+        self._near = True
         self._build_world()
         self._robot = self._load_robot()
         if gui:
@@ -132,7 +141,10 @@ class PioneerRobot(ArenaRobot):
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=self._step_s,
-            numSolverIterations=50,
+            numSolverIterations=SOLVER_ITERATIONS,
+            # Friction in each of two directions for itself, not in a cone: fewer computations, and the solver
+            # comes nearer to the answer in the same iterations. Wheels that roll hardly tell the difference.
+            enableConeFriction=0,
             deterministicOverlappingPairs=1,
             physicsClientId=self._client,
         )
@@ -219,6 +231,7 @@ class PioneerRobot(ArenaRobot):
 
     def _move(self, turn_rad: float, advance_m: float) -> bool:
         self._place(self.placement)
+        self._near = self._may_touch(self._at, advance_m)
         bumped = self._travel(0.0, turn_rad * TRACK_M / 2.0, TURN_SPEED_M_S)
         bumped = bumped or self._travel(advance_m, turn_rad * TRACK_M / 2.0, ADVANCE_SPEED_M_S)
         self._at = self._true_pose()
@@ -241,13 +254,15 @@ class PioneerRobot(ArenaRobot):
             turning_m_s = self._speed(turning_m_s, turning_left_m, top_speed_m_s)
             self._drive(forward_m_s - turning_m_s, forward_m_s + turning_m_s)
             pybullet.stepSimulation(physicsClientId=self._client)
-            if self._touches():
+            if self._near and self._touches():
                 return True
         return False
 
     def _speed(self, last_m_s: float, remaining_m: float, top_m_s: float) -> float:
-        """The next wheel speed: proportional to what remains, within top speed and acceleration."""
-        wanted_m_s = min(max(SLOWDOWN_PER_S * remaining_m, -top_m_s), top_m_s)
+        """The next wheel speed: what still lets it brake to the goal, within top speed and acceleration."""
+        distance_m = abs(remaining_m)
+        size_m_s = min(top_m_s, math.sqrt(2.0 * BRAKING_M_S2 * distance_m), SLOWDOWN_PER_S * distance_m)
+        wanted_m_s = math.copysign(size_m_s, remaining_m)
         change_m_s = ACCELERATION_M_S2 * self._step_s
         return min(max(wanted_m_s, last_m_s - change_m_s), last_m_s + change_m_s)
 
@@ -267,8 +282,13 @@ class PioneerRobot(ArenaRobot):
         )
 
     def _touches(self) -> bool:
+        """Whether something pushed the hull in the last step.
+
+        The engine pushes in the very step in which the hull would enter a thing, so the robot stops at its
+        surface, however long the steps are.
+        """
         contacts = pybullet.getContactPoints(bodyA=self._robot, linkIndexA=_HULL, physicsClientId=self._client)
-        return any(contact[8] <= 0.0 for contact in contacts or ())
+        return any(contact[9] > 0.0 for contact in contacts or ())
 
     def cast(self, origins_m: Array, directions: Array) -> tuple[Array, Array]:
         """Rays in the physics world, at the sonars' height; see `sonar.RayCaster`."""

@@ -120,7 +120,10 @@ TurnDeg = Annotated[float, Meta(ge=-180.0, le=180.0)]
 
 
 class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Body, world and episode rules. Defaults: paper, section 3, and the simulation notes.
+    """Body, world and episode rules. Defaults: paper, section 3, and ours.
+
+    What they mean is in sim/README.md, "Actions, episodes, captures", and where they come from in
+    sim/README.md, "Which seeds chose which constant".
 
     Bounds are checked however it is made (decoded or constructed): msgspec.ValidationError or RobotError,
     both ValueErrors.
@@ -158,7 +161,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     attention_m: Metres = 2.0
     """Echoes farther than this from the centre of rotation are not taken for the object (they are walls)."""
 
-    physics_hz: Annotated[int, Meta(ge=60, le=2000)] = 240
+    physics_hz: Annotated[int, Meta(ge=60, le=2000)] = 90
+    """Steps of physics in a second of robot time, for bodies that have physics."""
 
     def __post_init__(self) -> None:
         """Check each field's bounds (msgspec alone does so only on decoding), then those between fields."""

@@ -18,7 +18,7 @@ from mdb_sim.robot import Pose, RobotConfig
 Array = NDArray[np.float64]
 
 BODY_CENTRE_X_M = -0.045
-"""The body's centre lies behind the axle, the robot's origin (simulation notes, Pioneer 2 DX)."""
+"""The body's centre lies behind the axle, the robot's origin (sim/README.md, "The Pioneer 2 DX")."""
 SONAR_HEIGHT_M = 0.21
 
 _FRONT_LEFT = ((69, 136, 90), (114, 119, 50), (148, 78, 30), (166, 27, 10))

@@ -18,7 +18,7 @@ from mdb_sim.robot import Placement
 FeedbackKind = Literal["graded", "binary"]
 
 MISS_WITHOUT_PLEASURE = 3
-"""Missing by so many steps of turn, or more, earns the full punishment (simulation notes, Teacher)."""
+"""Missing by so many steps of turn, or more, earns the full punishment (sim/README.md, "Teacher")."""
 
 
 class TeacherError(ValueError):
@@ -102,7 +102,7 @@ def graded_feedback(command: int, action: int, turns: Sequence[float]) -> float:
 
 
 def binary_feedback(command: int, action: int, turns: Sequence[float]) -> float:
-    """+1 for obedience, -1 for anything else: much harder to learn from (simulation notes, Teacher)."""
+    """+1 for obedience, -1 for anything else: much harder to learn from (sim/README.md, "Teacher")."""
     obeyed = _checked_index("command", command, len(turns)) == _checked_index("action", action, len(turns))
     return 1.0 if obeyed else -1.0
 

@@ -10,7 +10,7 @@ from mdb_deploy.teach.view import Exchange, Latency
 from mdb_protocol import messages
 
 ERROR_MEAN = 40
-"""Reports in the running mean of a model's error (simulation notes: the last 20 to 40)."""
+"""Reports in the running mean of a model's error (sim/README.md, "Errors, told apart")."""
 OBEDIENCE_OF = 20
 """Commands that obedience is the share of."""
 CAPTURES_IN = 100
