@@ -1,10 +1,15 @@
 """Variants fit any experiment file, and a study that was interrupted or changed goes on as it should."""
 
+import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 import structlog
 import tomli_w
@@ -304,3 +309,27 @@ def test_what_cannot_be_run_says_so_before_its_first_run(tmp_path: Path, capsys:
     assert "elites" in capsys.readouterr().err
     assert main(["study", "report", "--results", str(tmp_path / "none"), "--out", str(tmp_path / "R.md")]) == 2
     assert "no such folder" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_a_study_that_is_ended_takes_its_workers_with_it_and_leaves_no_run_folder(tmp_path: Path) -> None:
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    settings = [word for override in (*TINY, *PHASES, "experiment.iterations=400") for word in ("--set", override)]
+    command = [sys.executable, "-m", "mdb_deploy.cli", "study", "alone", "--seeds", "801-812", *settings]
+    with subprocess.Popen(
+        [*command, "--out", str(tmp_path / "out")],
+        env=os.environ | {"TMPDIR": str(temporary)},
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        first = process.stderr.readline()
+        workers = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 130
+    assert first.startswith("[1/12] done")
+    _, alive = psutil.wait_procs(workers, 10)
+    assert alive == []
+    assert list(temporary.glob("mdb-study-*")) == []
+    assert len(list((tmp_path / "out").glob("*/*/*.parquet"))) < 12

@@ -126,8 +126,9 @@ def paper(section: Section) -> str:
 def teachers(section: Section) -> str:
     """Teachers as they are."""
     return _paragraphs(
-        "The settings hold for both teachers. Obedience is counted by what the teacher meant to be done as he said "
-        "it, so that a wrong note that is obeyed as it sounds counts as obeyed.",
+        "The settings hold for both teachers. A note counts as obeyed when it is obeyed as it sounds, also a wrong "
+        "one. “knows the language” is a player that obeys each note as it sounds and does anything when alone: what "
+        "wrong notes leave to be captured at all.",
         summary(main_quantities(section.runs), "teachers"),
         _variants_figure(section, "Teachers as they are."),
         _failures(section.runs),

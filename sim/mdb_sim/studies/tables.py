@@ -174,6 +174,8 @@ def paper(experiment: Experiment) -> list[Variant]:
     return found + [Variant(f"shipped - {name}", away, applies=bool(away)) for name, away in without.items()]
 
 
+KNOWS = "knows the language"
+"""A player who obeys each note as it sounds."""
 Setting = str | float | bool
 TEACHERS: tuple[tuple[str, dict[str, Setting]], ...] = (
     ("30 % judged", {"judged": 0.3}),
@@ -196,9 +198,13 @@ def teachers(experiment: Experiment) -> list[Variant]:
     """A perfect teacher, a binary one, and all of `TEACHERS`, in both taught phases."""
     found = [Variant("perfect"), Variant("binary", ('teacher.feedback="binary"',))]
     known = set(PhaseSection.__struct_fields__)
-    return found + [
-        Variant(name, taught(experiment, **settings)) for name, settings in TEACHERS if settings.keys() <= known
-    ]
+    for name, settings in TEACHERS:
+        if settings.keys() <= known:
+            found.append(Variant(name, taught(experiment, **settings)))
+        if "wrong_notes" in settings:
+            # Nobody can do what was meant where another note sounds: the bound is lower than the ideal.
+            found.append(Variant(f"{name}: {KNOWS}", taught(experiment, **settings), player="obedient"))
+    return found
 
 
 def learners(experiment: Experiment) -> list[Variant]:
@@ -208,7 +214,7 @@ def learners(experiment: Experiment) -> list[Variant]:
     return [
         *found,
         Variant("Gaussian processes", player="gaussian"),
-        Variant("knows the language", player="obedient"),
+        Variant(KNOWS, player="obedient"),
         Variant("ideal policy", player="ideal"),
         Variant("random", player="random"),
     ]
