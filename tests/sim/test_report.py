@@ -49,6 +49,17 @@ def test_every_study_has_a_section_and_every_figure_is_there(whole: tuple[str, P
     assert NOT_YET not in text
 
 
+def test_the_report_begins_with_what_was_found_and_names_what_was_missed(tmp_path: Path) -> None:
+    bad = [Result(label("alone", seed=s), run(s, captures={3: 41.0 if s == 12 else 117.0})) for s in (11, 12, 13)]
+    mute = Result(label("teachers", "punishes only", 11), run(11, obedience={2: 0.3}))
+    document.write([*bad, mute], tmp_path / "REPORT.md")
+    short = (tmp_path / "REPORT.md").read_text(encoding="utf-8").partition("## In short")[2].partition("## 1.")[0]
+    assert "worst 34.2 % (seed 12). 1 of 6 phases alone below 90 %" in short
+    assert "Missed: captures alone, of the ideal's, 1500–2000." in short
+    assert "below 80 %: punishes only 30.0 %; captures alone below 90 % of the ideal's: none." in short
+    assert "**life**" not in short
+
+
 def test_statements_are_filled_from_what_was_measured(whole: tuple[str, Path]) -> None:
     text, _ = whole
     assert f"{len(STATEMENTS)} statements: " in text

@@ -12,6 +12,7 @@ from pathlib import Path
 from mdb_sim.report.paper import statements_table
 from mdb_sim.report.quantities import runs_of
 from mdb_sim.report.sections import SECTIONS, Section
+from mdb_sim.report.short import in_short
 from mdb_sim.report.statistics import seeds_text
 from mdb_sim.studies.catalogue import REPORTED, Study
 from mdb_sim.studies.results import Result
@@ -39,7 +40,7 @@ def write(results: Sequence[Result], out: Path) -> list[Path]:
     found: dict[str, list[Result]] = {}
     for result in results:
         found.setdefault(result.label.study, []).append(result)
-    parts, files = [INTRODUCTION], []
+    parts, files = [INTRODUCTION, in_short(found)], []
     gallery = out.parent / GALLERY
     for number, study in enumerate(REPORTED, 1):
         parts.append(f"## {number}. {study.name.capitalize()}: {study.what}")
