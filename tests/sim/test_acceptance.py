@@ -35,7 +35,7 @@ def test_a_good_brain_meets_every_criterion() -> None:
 
 def test_one_bad_seed_fails_the_worst_and_is_named() -> None:
     seeds = GOOD | {4: run(4, captures={3: 41.0})}
-    assert missed(seeds) == ["captures alone, of the ideal's, 1500–2000"]
+    assert missed(seeds) == ["captures alone, share of ideal, 1500–2000"]
     assert failures(seeds) == (1, 20)
     assert "1 of 20 phases alone below 90 % of the ideal, 5.0 % [0.9 %, 23.6 %]" in failure_rate(seeds)
     assert "4 (1500–2000: 34.2 %)" in failure_rate(seeds)
@@ -64,7 +64,7 @@ def test_a_brain_that_foresees_well_and_does_not_obey_is_counted() -> None:
 @pytest.mark.parametrize("field", ["captures", "ideal_captures"])
 def test_a_missing_value_meets_nothing_and_is_a_failure(field: str) -> None:
     seeds = {1: run(1), 2: run(2, **{field: {1: math.nan}})}
-    assert "captures alone, of the ideal's, 500–1000" in missed(seeds)
+    assert "captures alone, share of ideal, 500–1000" in missed(seeds)
     assert failures(seeds) == (1, 4)
 
 

@@ -55,8 +55,8 @@ def test_the_report_begins_with_what_was_found_and_names_what_was_missed(tmp_pat
     document.write([*bad, mute], tmp_path / "REPORT.md")
     short = (tmp_path / "REPORT.md").read_text(encoding="utf-8").partition("## In short")[2].partition("## 1.")[0]
     assert "worst 34.2 % (seed 12). 1 of 6 phases alone below 90 %" in short
-    assert "Missed: captures alone, of the ideal's, 1500–2000." in short
-    assert "below 80 %: punishes only 30.0 %; captures alone below 90 % of the ideal's: none." in short
+    assert "Missed: captures alone, share of ideal, 1500–2000." in short
+    assert "below 80 %: punishes only 30.0 %; captures alone below 90 % of the ideal: none." in short
     assert "**life**" not in short
 
 

@@ -89,9 +89,9 @@ def judge(seeds: Seeds) -> list[Criterion]:
     phases = next(iter(seeds.values()))
     alone, taught = [row for row in phases if row.alone], [row for row in phases if not row.alone]
     return [
-        *(of(row, SHARE, "captures alone, of the ideal's", mean=ALONE_MEAN, worst=ALONE_WORST) for row in alone),
-        *(of(row, SHARE, "captures taught, of the ideal's", mean=FIRST_MEAN) for row in taught[:1]),
-        *(of(row, SHARE, "captures taught, of the ideal's", mean=LATER_MEAN) for row in taught[1:]),
+        *(of(row, SHARE, "captures alone, share of ideal", mean=ALONE_MEAN, worst=ALONE_WORST) for row in alone),
+        *(of(row, SHARE, "captures taught, share of ideal", mean=FIRST_MEAN) for row in taught[:1]),
+        *(of(row, SHARE, "captures taught, share of ideal", mean=LATER_MEAN) for row in taught[1:]),
         *(of(row, TO_OBEDIENCE, "iterations to 90 % obedience", median=SOON) for row in taught[1:]),
         *(of(row, OBEDIENCE, "obedience at the end", mean=OBEDIENT_MEAN, worst=OBEDIENT_WORST) for row in taught),
         *(of(row, TO_ERROR, "iterations to prequential MSE < 10 %") for row in taught),

@@ -26,12 +26,13 @@ the Multilevel Darwinist Brain* (Bellas, Becerra, Duro). `mdb study all` makes t
 this page and its figures from them. All runs are in lockstep: a seed gives the same run every time.
 
 How to read it. A run's captures in a phase are compared with its own **ideal**: a policy that sees the truth and
-always faces the object, from where the phase begins, on the same placements of the object. **Obedience** is the
-share of commands obeyed in the last two fifths of a phase; **iterations to 90 % obedience** end with the first 20
-commands of which 18 were obeyed, so 20 is the least. Errors are mean squared, feedback lies in ±1, and 0.1 is what
-“10 %” means: **prequential** is the error on each pair before it was learnt (mean of 40), the one **over all pairs**
-is that on every command with every action. Intervals are 95 % bootstrap intervals over the seeds. “never” counts as
-more than any number; “–” is what a run does not hold.
+always faces the object, from where the phase begins, on the same placements of the object. In the first phase both
+count from the end of the forced exploration on. **Obedience** is the share of commands obeyed in the last two fifths
+of a phase; **iterations to 90 % obedience** end with the first 20 commands of which 18 were obeyed, so 20 is the
+least. Errors are mean squared, feedback lies in ±1, and 0.1 is what “10 %” means: **prequential** is the error on
+each pair before it was learnt (mean of 40), the one **over all pairs** is that on every command with every action.
+Intervals are 95 % bootstrap intervals over the seeds. “never” counts as more than any number; “–” is what a run does
+not hold.
 """
 
 

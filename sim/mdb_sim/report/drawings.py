@@ -6,6 +6,7 @@ Owns how they look; needs matplotlib, like `figures`.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -27,8 +28,10 @@ if TYPE_CHECKING:
 COLUMNS = 2
 KINDS = ("png",)
 """Kinds of files that are drawn unless others are asked for."""
-ROW_IN, WIDTH_IN = 0.3, 11.0
+ROW_IN, WIDTH_IN = 0.27, 11.0
 """Inches of figure for a row of a panel, and for a figure."""
+TITLE_LETTERS = 42
+"""A panel's title is broken after so many."""
 COLOURS = {"": MUTED, "better": GREEN, "worse": ORANGE}
 """Of an interval, by how it differs from the reference."""
 VARIANT_COLOURS = (BLUE, ORANGE, GREEN, MUTED)
@@ -41,7 +44,7 @@ def draw_quantities(
 ) -> list[Path]:
     """Draw one panel a measure with one row a variant; return the files."""
     rows = math.ceil(len(quantities) / COLUMNS)
-    height_in = rows * (1.0 + ROW_IN * len(quantities[0].values)) + 0.8
+    height_in = rows * (1.2 + ROW_IN * len(quantities[0].values)) + 0.8
     return save(stem, (WIDTH_IN, height_in), lambda figure: _fill_quantities(quantities, title, figure), kinds)
 
 
@@ -101,7 +104,8 @@ def _draw_quantity(axes: Axes, quantity: Quantity) -> None:
     if quantity.shape is percent:
         axes.locator_params(axis="x", nbins=6)
         axes.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
-    axes.set_title(f"{quantity.name}: {quantity.statistic}, {'← better' if quantity.low_is_good else 'better →'}")
+    title = f"{quantity.name}: {quantity.statistic}, {'← better' if quantity.low_is_good else 'better →'}"
+    axes.set_title(textwrap.fill(title, TITLE_LETTERS))
     if not values:
         note(axes, "no data in these logs")
 

@@ -183,7 +183,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "If the teacher is consistent, either satisfaction model leads to the same behaviour.",
         "faithful",
-        "Captures as a share of the ideal's:",
+        "Captures as a share of the ideal:",
         in_reproduction(two_phases(SHARE, ("with the first teacher", "alone after him"), (0, 1))),
     ),
     Statement(
@@ -305,7 +305,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "World and internal models are learnt in the same way with both teachers.",
         "faithful",
-        "Their data hold no language. Captures alone as a share of the ideal's:",
+        "Their data hold no language. Captures alone as a share of the ideal:",
         in_reproduction(two_phases(SHARE, AFTER, (1, 3))),
     ),
     Statement(

@@ -105,7 +105,7 @@ TO_ERROR = Measure(
 )
 PAIR_ERROR = Measure("MSE over all pairs", lambda row: row.pair_error, "median", percent, low_is_good=True)
 OBEDIENCE = Measure("obedience", lambda row: row.obedience, "mean", percent)
-SHARE = Measure("captures of the ideal's", lambda row: row.share, "mean", percent)
+SHARE = Measure("captures, share of ideal", lambda row: row.share, "mean", percent)
 TAUGHT = (TO_OBEDIENCE, TO_ERROR, PAIR_ERROR, OBEDIENCE)
 """Measures of phases in which somebody teaches."""
 
@@ -168,6 +168,14 @@ def main_quantities(runs: Runs) -> list[Quantity]:
     taught = [row.phase for row in phases if not row.alone]
     found = [quantity(runs, measure, taught[-1]) for measure in TAUGHT] if taught else []
     return found + [quantity(runs, SHARE, row.phase) for row in phases]
+
+
+def figure_quantities(runs: Runs) -> list[Quantity]:
+    """Return what a figure of variants shows: the last teacher's obedience, and captures taught by him and alone."""
+    taught = [row.phase for row in phases_of(runs) if not row.alone]
+    alone = [row.phase for row in phases_of(runs) if row.alone]
+    found = [quantity(runs, measure, taught[-1]) for measure in (TO_OBEDIENCE, OBEDIENCE, SHARE)] if taught else []
+    return found + ([pooled(runs, SHARE, alone, f"{SHARE.name}, alone, all phases")] if alone else [])
 
 
 # ---- tables ----

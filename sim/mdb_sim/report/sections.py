@@ -17,14 +17,13 @@ from mdb_sim.report.acceptance import criteria_table, error_without_obedience, f
 from mdb_sim.report.comings import comings_of, comings_table
 from mdb_sim.report.quantities import (
     SHARE,
-    Quantity,
     Runs,
     all_quantities,
     capture_rate,
+    figure_quantities,
     main_quantities,
     phase_name,
     phases_of,
-    pooled,
     quantity,
     quantity_table,
     summary,
@@ -166,7 +165,7 @@ def life(section: Section) -> str:
     phases = phases_of(runs)
     shares = [quantity(runs, SHARE, row.phase, phase_name(runs, row.phase)) for row in phases]
     variant = next(iter(runs))
-    head = ["phase", "captures of the ideal's [95 %]", "median [95 %]", "worst (seed)", "below 90 % [95 %]"]
+    head = ["phase", "captures, share of ideal [95 %]", "median [95 %]", "worst (seed)", "below 90 % [95 %]"]
     rows = []
     for row, share in zip(phases, shares, strict=True):
         values = share.values[variant]
@@ -217,14 +216,9 @@ def ablation(section: Section) -> str:
 
 def _variants_figure(section: Section, caption: str) -> str:
     runs = section.runs
-    quantities = [*main_quantities(runs), *_alone_shares(runs)]
+    quantities = figure_quantities(runs)
     drawn = drawings.draw_quantities(quantities, section.stem, caption.rstrip("."))
     return section.figure(drawn, f"{caption} Each seed a dot; bar: 95 % interval.")
-
-
-def _alone_shares(runs: Runs) -> list[Quantity]:
-    places = [row.phase for row in phases_of(runs) if row.alone]
-    return [pooled(runs, SHARE, places, "captures alone of the ideal's, all phases")] if len(places) > 1 else []
 
 
 def _failures(runs: Runs) -> str:

@@ -10,12 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from mdb_sim.report.acceptance import failures, judge
 from mdb_sim.report.comings import comings_of, own_firsts
 from mdb_sim.report.quantities import OBEDIENCE, SHARE, Runs, phases_of, pooled, quantity, runs_of
-from mdb_sim.report.statistics import Estimate, estimate, interval, number, percent, text, wilson
+from mdb_sim.report.statistics import Estimate, estimate, interval, number, percent, seeds_text, text, wilson
 from mdb_sim.studies import tables
 from mdb_sim.studies.results import Result
 
 WELL_OBEYED, WELL_ALONE = 0.8, 0.9
-"""Obedience to the last teacher, and captures alone of the ideal's, below which teachers or learners are named."""
+"""Obedience to the last teacher, and captures alone as a share of the ideal, below which teachers or learners are named."""
 
 
 def in_short(found: Mapping[str, Sequence[Result]]) -> str:
@@ -28,7 +28,8 @@ def in_short(found: Mapping[str, Sequence[Result]]) -> str:
             if not next(iter(runs.values())):
                 continue
             where = "" if body == "kinematic" else f", {body}"
-            lines.append(f"- **{study}** ({len(next(iter(runs.values())))} seeds{where}): {told(runs)}")
+            seeds = seeds_text(list(next(iter(runs.values()))))
+            lines.append(f"- **{study}** ({seeds}{where}): {told(runs)}")
     return "\n".join(["## In short", "", *lines]) if lines else ""
 
 
@@ -45,7 +46,7 @@ def _alone(runs: Runs) -> str:
     count, of = failures(seeds)
     missed = [criterion.name for criterion in judge(seeds) if not criterion.met]
     return (
-        f"captures of the ideal's {'; '.join(shares)}. {count} of {of} phases alone below 90 % "
+        f"captures as a share of the ideal: {'; '.join(shares)}. {count} of {of} phases alone below 90 % "
         f"({interval(wilson(count, of), percent)}). "
         + (f"Missed: {'; '.join(missed)}." if missed else "All criteria met.")
     )
@@ -56,7 +57,7 @@ def _reproduction(runs: Runs) -> str:
     obedience = quantity(runs, OBEDIENCE, last)
     told = [
         f"{variant}: obedience to the last teacher {interval(obedience.estimate(variant), percent)}, "
-        f"captures alone of the ideal's {interval(_alone_share(runs, variant), percent)}"
+        f"captures alone as a share of the ideal {interval(_alone_share(runs, variant), percent)}"
         for variant in runs
     ]
     return "; ".join(told) + "."
@@ -88,7 +89,7 @@ def _named(runs: Runs) -> str:
     ]
     return (
         f"of {len(runs)}, obedience to the last teacher below {WELL_OBEYED:.0%}: ".replace("%", " %")
-        + f"{', '.join(disobeyed) or 'none'}; captures alone below 90 % of the ideal's: {', '.join(lost) or 'none'}."
+        + f"{', '.join(disobeyed) or 'none'}; captures alone below 90 % of the ideal: {', '.join(lost) or 'none'}."
     )
 
 
@@ -115,7 +116,7 @@ def _life(runs: Runs) -> str:
     )
     count, of = failures(seeds)
     return (
-        f"captures alone of the ideal's, after the first teacher {first}, after the last {last}; {count} of {of} "
+        f"captures alone as a share of the ideal, after the first teacher {first}, after the last {last}; {count} of {of} "
         f"phases alone below 90 % ({interval(wilson(count, of), percent)})."
     )
 
