@@ -15,7 +15,7 @@ from mdb_sim.studies import tables
 from mdb_sim.studies.results import Result
 
 WELL_OBEYED, WELL_ALONE = 0.8, 0.9
-"""Obedience to the last teacher, and captures alone as a share of the ideal, below which teachers or learners are named."""
+"""Obedience to the last teacher, and share of the ideal alone, below which teachers or learners are named."""
 
 
 def in_short(found: Mapping[str, Sequence[Result]]) -> str:
@@ -116,8 +116,8 @@ def _life(runs: Runs) -> str:
     )
     count, of = failures(seeds)
     return (
-        f"captures alone as a share of the ideal, after the first teacher {first}, after the last {last}; {count} of {of} "
-        f"phases alone below 90 % ({interval(wilson(count, of), percent)})."
+        f"captures alone as a share of the ideal, after the first teacher {first}, after the last {last}; "
+        f"{count} of {of} phases alone below 90 % ({interval(wilson(count, of), percent)})."
     )
 
 
