@@ -53,7 +53,7 @@ def phase(seed: int, place: int, **changes: Any) -> PhaseRow:
         prequential_curve=errors,
         memory_error_curve=errors,
         pair_error_curve=errors,
-        capture_steps=np.array([4, 5, 4], np.int16),
+        capture_steps=np.array([4, 5, 4], np.int32),
         paths=(path,),
     )
     return replace(row, **changes)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from statistics import median
 
 from mdb_sim.report.paper import statements_table
 from mdb_sim.report.quantities import runs_of
@@ -71,7 +72,13 @@ def _section(study: Study, results: Sequence[Result], folder: Path, link: str) -
     for body in bodies:
         of = [result for result in results if result.label.body == body]
         name = study.name if body == "kinematic" else f"{study.name}-{body}"
-        section = Section(study, runs_of(of), folder / "".join(c if c.isalnum() else "-" for c in name), link)
+        seconds: dict[str, list[float]] = {}
+        for result in sorted(of, key=lambda result: result.label.order):
+            seconds.setdefault(result.label.variant, []).append(result.label.seconds)
+        stem = folder / "".join(c if c.isalnum() else "-" for c in name)
+        section = Section(
+            study, runs_of(of), stem, link, {variant: median(took) for variant, took in seconds.items()}
+        )
         if len(bodies) > 1:
             parts.append(f"### Body: {body}")
         parts.append(_described(study, of))

@@ -7,7 +7,7 @@ and `curves`. A new study gets a function here and a line in `SECTIONS`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -44,6 +44,8 @@ class Section:
     """Beginning of its figures' paths, without ending."""
     link: str
     """The figures' folder as the text names it."""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """What a run took, by variant: the median."""
     files: list[Path] = field(default_factory=list)
 
     def figure(self, drawn: Sequence[Path], caption: str) -> str:
@@ -144,6 +146,8 @@ def learners(section: Section) -> str:
         summary(main_quantities(section.runs), "who"),
         _variants_figure(section, "Learners and players."),
         _failures(section.runs),
+        "What a run took, on the machines that did these, as busy as they were:",
+        markdown(["who", "seconds, median"], [[who, number(took)] for who, took in section.seconds.items()]),
     )
 
 
@@ -192,7 +196,8 @@ def alone(section: Section) -> str:
         criteria_table(seeds),
         section.figure(
             curves.draw_seeds(section.runs, section.stem),
-            "Every seed: captures as a share of its own ideal. Those below 90 % by number.",
+            "Every seed: captures as a share of its own ideal, those alone below 90 % by number. Band: 95 % interval "
+            "of the mean.",
         ),
         "<details><summary>Every seed in numbers</summary>",
         seeds_table(seeds),

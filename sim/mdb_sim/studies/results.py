@@ -149,7 +149,7 @@ def _schema(label: Label) -> pa.Schema:
         "str | None": pa.string(),
         "Marks": pa.list_(pa.int8()),
         "Curve": pa.list_(pa.float32()),
-        "NDArray[np.int16]": pa.list_(pa.int16()),
+        "Counts": pa.list_(pa.int32()),
         "tuple[Curve, ...]": pa.list_(pa.list_(pa.float32())),
     }
     columns = [("study", pa.string()), ("variant", pa.string())]

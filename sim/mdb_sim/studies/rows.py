@@ -21,6 +21,7 @@ from mdb_sim.trajectories import typical
 
 Curve = NDArray[np.float32]
 Marks = NDArray[np.int8]
+Counts = NDArray[np.int32]
 
 ABSENT = -1
 """Stands in `obeyed` where no command came."""
@@ -67,7 +68,7 @@ class PhaseRow:
     memory_error_curve: Curve
     pair_error_curve: Curve
     """Every `measures.EVERY` iterations, elsewhere nan."""
-    capture_steps: NDArray[np.int16]
+    capture_steps: Counts
     """Steps of each episode of the phase that ended in a capture."""
     paths: tuple[Curve, ...]
     """Typical episodes: object x, y, then x, y and heading of each place, in m and rad."""
@@ -118,7 +119,7 @@ def _row(
         lost=events.count("lost"),
         timeouts=events.count("timeout"),
         captured=np.diff(record.captures[phase.start : phase.stop + 1]).astype(np.int8),
-        capture_steps=np.array([episode.steps for episode in done], dtype=np.int16),
+        capture_steps=np.array([episode.steps for episode in done], dtype=np.int32),
         paths=tuple(_path(episode) for _, episode in typical(done)),
         prequential_curve=curves["prequential"][phase].astype(np.float32),
         memory_error_curve=curves["memory"][phase].astype(np.float32),
@@ -165,7 +166,5 @@ def _path(episode: Episode) -> Curve:
     return np.array([first.object_x_m, first.object_y_m, *places], dtype=np.float32)
 
 
-NUMBERS = tuple(field.name for field in fields(PhaseRow) if field.type in ("float", "int"))
-"""The columns that hold one number."""
-CURVES = tuple(field.name for field in fields(PhaseRow) if field.type in ("Marks", "Curve", "NDArray[np.int16]"))
+CURVES = tuple(field.name for field in fields(PhaseRow) if field.type in ("Marks", "Curve", "Counts"))
 """The columns that hold a list of numbers."""

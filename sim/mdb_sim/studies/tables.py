@@ -134,7 +134,8 @@ def phases(who: Sequence[str | None], iterations: int) -> Overrides:
     entries = []
     for place, teacher in enumerate(who):
         coming = who[: place + 1].count(teacher)
-        name = f"{teacher}, coming {coming}" if teacher is not None else f"alone {coming}"
+        returns = who.count(teacher) > 1
+        name = f"alone {coming}" if teacher is None else f"{teacher}, coming {coming}" if returns else teacher
         of = "" if teacher is None else f', teacher="{teacher}"'
         language = ', language="random"' if teacher is not None and coming == 1 else ""
         entries.append(f'{{start={place * iterations}, name="{name}"{of}{language}}}')
