@@ -8,6 +8,7 @@ named with its seed and error, the others go on, and `Outcome.failed` tells. Wha
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import sys
 import tempfile
@@ -31,6 +32,8 @@ from mdb_sim.studies.running import Task
 
 ATTEMPTS = 2
 """How often a run is begun whose worker died under it, on this machine; a cluster has its own rule."""
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""A worker has one core; Dask's workers set the same."""
 CONNECTED_S = 20.0
 """How long a Dask scheduler may take to answer."""
 
@@ -218,6 +221,8 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 def _processes(workers: int, folder: str) -> Iterator[ProcessPoolExecutor]:
     # Ended by SIGTERM without this, it would leave its workers behind.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for threads in ONE_THREAD:
+        os.environ.setdefault(threads, "1")
     mine = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(max(1, workers), mp_context=context, initializer=_begin_worker, initargs=(folder,))
