@@ -7,16 +7,14 @@ import os
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO, cast
+from typing import TextIO, cast
 
 import structlog
 
 from mdb_deploy import keys_command
+from mdb_deploy.studies import parser as studies_parser
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
-
-if TYPE_CHECKING:
-    from mdb_deploy.study import Study
 
 EPILOG = """\
 first steps:
@@ -97,6 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_chaos(commands)
     _add_small(commands)
     keys_command.add(commands)
+    studies_parser.add(commands)
     _add_ltm(commands)
     return parser
 
@@ -271,60 +270,10 @@ def _add_small(commands: Commands[argparse.ArgumentParser]) -> None:
     rescue.add_argument("run", type=Path, metavar="RUN", help="run folder, in which nothing is changed")
     rescue.add_argument("--out", type=Path, required=True, metavar="NEW", help="the new one, for 'mdb up --resume'")
     rescue.set_defaults(command=_rescue)
-    acceptance = commands.add_parser("acceptance", help="many seeds, judged by the acceptance table")
-    acceptance.add_argument("--seeds", default="1-5", help="as in 1-5 or 1,4,9")
-    acceptance.add_argument("--out", type=Path, default=Path("runs/acceptance"), help="where the runs go")
-    acceptance.add_argument("--workers", type=int, default=2, help="runs at the same time")
-    _add_experiment(acceptance)
-    acceptance.set_defaults(command=_acceptance)
-    _add_study(commands)
     warm_up = commands.add_parser("warm-up", help="compile the evolvers' kernels (the first start does it too)")
     warm_up.set_defaults(command=_warm_up)
     compare = commands.add_parser("compare-bodies", help="PyBullet and its kinematic twin side by side")
     compare.set_defaults(command=_compare)
-
-
-STUDY_EPILOG = """\
-All runs are inline and in lockstep. A finished run in --out with the same resolved experiment is not run again,
-so an interrupted study goes on where it stopped; any other run there is replaced. A change of code is not
-noticed: then give --fresh.
-
-a quick look, with the kinematic twin and few seeds:
-  mdb study {study} --seeds 11-12 --set robot.body=kinematic
-"""
-
-
-def _add_study(commands: Commands[argparse.ArgumentParser]) -> None:
-    study = commands.add_parser("study", help="what each ingredient brings, over many seeds", allow_abbrev=False)
-    studies = study.add_subparsers(required=True, metavar="STUDY")
-    ablation = _add_one_study(studies, "ablation", "as shipped against one ingredient less: table and figure")
-    ablation.add_argument("--only", default="", metavar="NAMES", help="some variants, as in fifo-only,scalar-note")
-    ablation.set_defaults(command=_study_ablation)
-    comings = _add_one_study(studies, "comings", "teachers A, B, A, B, A, with long-term memory and without")
-    comings.add_argument("--phase", type=int, default=500, help="iterations of each coming (500)")
-    comings.set_defaults(command=_study_comings)
-
-
-def _add_one_study(studies: Commands[argparse.ArgumentParser], name: str, what: str) -> argparse.ArgumentParser:
-    parser = studies.add_parser(
-        name,
-        help=what,
-        description=what,
-        epilog=STUDY_EPILOG.format(study=name),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.add_argument(
-        "experiment", nargs="?", default="paper", help="experiment file, or the name of a shipped one (paper)"
-    )
-    parser.add_argument("--seeds", default="11-20", help="as in 11-20 or 1,4,9 (11-20)")
-    parser.add_argument("--workers", type=int, default=2, help="runs at the same time (2)")
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs") / name, help=f"where runs and report go (runs/{name})"
-    )
-    parser.add_argument("--fresh", action="store_true", help="run again also what is there already")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="override any setting")
-    return parser
 
 
 def _add_ltm(commands: Commands[argparse.ArgumentParser]) -> None:
@@ -567,44 +516,6 @@ def _health(arguments: argparse.Namespace) -> int:
 
     with ZenohBus(arguments.brain, arguments.connect, credentials=arguments.keys, connect_timeout_s=1.0) as bus:
         return 0 if arguments.name == "router" or arguments.name in bus.alive() else 1
-
-
-def _acceptance(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.acceptance import accept, seeds_of
-
-    return accept(
-        experiment_path(arguments.experiment),
-        seeds_of(arguments.seeds),
-        overrides_of(arguments),
-        arguments.out,
-        arguments.workers,
-    )
-
-
-def _study(arguments: argparse.Namespace) -> Study:
-    from mdb_deploy.acceptance import seeds_of
-    from mdb_deploy.study import Study
-
-    return Study(
-        experiment=experiment_path(arguments.experiment),
-        seeds=tuple(dict.fromkeys(seeds_of(arguments.seeds))),
-        overrides=tuple(arguments.set),
-        out=arguments.out,
-        workers=arguments.workers,
-        fresh=arguments.fresh,
-    )
-
-
-def _study_ablation(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.study import ablate
-
-    return ablate(_study(arguments), [name for name in arguments.only.split(",") if name])
-
-
-def _study_comings(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.study import compare_comings
-
-    return compare_comings(_study(arguments), arguments.phase)
 
 
 def _warm_up(_: argparse.Namespace) -> int:

@@ -93,20 +93,22 @@ def need_matplotlib() -> None:
         ) from error
 
 
-def save(stem: Path, size: tuple[float, float], fill: Callable[[Figure], None]) -> list[Path]:
-    """Make, fill and write one figure; nothing of matplotlib's global state is touched."""
+def save(
+    stem: Path, size: tuple[float, float], fill: Callable[[Figure], None], kinds: Sequence[str] = ("png", "svg")
+) -> list[Path]:
+    """Make, fill and write one figure in these kinds; nothing of matplotlib's global state is touched."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     stem.parent.mkdir(parents=True, exist_ok=True)
-    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg")]
+    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in kinds]
     with rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         fill(figure)
-        figure.savefig(paths[0], dpi=DPI)
-        figure.savefig(paths[1], metadata={"Date": None})
+        for path, kind in zip(paths, kinds, strict=True):
+            figure.savefig(path, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
     return paths
 
 

@@ -1,27 +1,33 @@
-"""Variants fit any experiment file, and a study that was interrupted goes on where it stopped."""
+"""Variants fit any experiment file, and a study that was interrupted or changed goes on as it should."""
 
+import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 import structlog
 import tomli_w
+from rich.console import Console
 
-from mdb_deploy import acceptance
-from mdb_deploy.acceptance import Job, finished_record
 from mdb_deploy.cli import experiment_path, main
-from mdb_deploy.study import ablation_variants, chosen, comings_overrides
+from mdb_deploy.studies import sweep
+from mdb_deploy.studies.sweep import Sweep
 from mdb_protocol.errors import ConfigError
-from mdb_sim.acceptance import acceptance_row
 from mdb_sim.experiment import Experiment
+from mdb_sim.studies import running, tables
+from mdb_sim.studies.catalogue import ACCEPTANCE, STUDIES
+from mdb_sim.studies.results import decode
 from tests.integration.brain import SHORT
 from tests.services.small import CONTENT
 
 PAPER = experiment_path("paper")
 TINY = (
-    "robot.body=kinematic",
     "optimizer.random_iterations=4",
     "evolution.population=20",
     "model.communication.evolution.generations=1",
@@ -43,8 +49,8 @@ def _log_of_its_own() -> Iterator[None]:
     structlog.reset_defaults()
 
 
-def overrides_of(experiment: Experiment) -> dict[str, tuple[str, ...]]:
-    return {variant.folder: variant.overrides for variant in ablation_variants(experiment.brain)}
+def variants_of(study: str, experiment: Experiment) -> dict[str, tuple[str, ...]]:
+    return {variant.name: variant.overrides for variant in tables.VARIANTS[study](experiment)}
 
 
 def other_experiment(path: Path, **sections: Any) -> Path:
@@ -67,32 +73,33 @@ def other_experiment(path: Path, **sections: Any) -> Path:
     return path
 
 
-def test_variants_of_the_paper_take_one_ingredient_away_each() -> None:
-    overrides = overrides_of(Experiment.read(PAPER))
+# ---- the tables ----
+
+
+def test_variants_of_the_ablation_take_one_ingredient_away_each() -> None:
     fifo = [f"model.{name}.memory={{recency=1.0}}" for name in ("communication", "object", "induced")]
     smaller = [f"model.{name}.capacity={n}" for name, n in (("communication", 20), ("object", 100), ("induced", 100))]
-    assert overrides == {
-        "as-shipped": (),
-        "promoters-off": ("learner.name=ga",),
-        "long-term-memory-off": ("long_term.capacity=0",),
-        "no-context-detection": ("context.enabled=false",),
-        "fifo-only": (*fifo, "context.enabled=false"),
-        "no-aspiration": ("mode.taught.exploration=0",),
-        "scalar-note": ("channels.note={low=0, high=6}",),
-        "smaller-memories": tuple(smaller),
+    assert variants_of("ablation", Experiment.read(PAPER)) == {
+        "as shipped": (),
+        "promoters off": ("learner.name=ga",),
+        "long-term memory off": ("long_term.capacity=0",),
+        "no context detection": ("context.enabled=false",),
+        "FIFO only": (*fifo, "context.enabled=false"),
+        "no aspiration": ("mode.taught.exploration=0",),
+        "scalar note": ("channels.note={low=0, high=6}",),
+        "smaller memories": tuple(smaller),
     }
 
 
 def test_variants_of_another_file_have_its_names_and_heed_settings_of_a_models_own(tmp_path: Path) -> None:
-    path = other_experiment(tmp_path / "other.toml")
-    overrides = overrides_of(Experiment.read(path))
-    assert overrides["promoters-off"] == ("learner.name=ga", "model.thing.learner.name=ga")
-    assert overrides["long-term-memory-off"] == ("model.ears.long_term.capacity=0", "long_term.capacity=0")
-    assert overrides["no-context-detection"] == ("context.enabled=false",)
-    assert overrides["fifo-only"][0] == "model.ears.memory={recency=1.0, distance=0.0}"
-    assert overrides["no-aspiration"] == ("mode.heard.exploration=0",)
-    assert overrides["scalar-note"] == ("channels.note={low=0, high=2}",)
-    assert overrides["smaller-memories"] == (
+    overrides = variants_of("ablation", Experiment.read(other_experiment(tmp_path / "other.toml")))
+    assert overrides["promoters off"] == ("learner.name=ga", "model.thing.learner.name=ga")
+    assert overrides["long-term memory off"] == ("model.ears.long_term.capacity=0", "long_term.capacity=0")
+    assert overrides["no context detection"] == ("context.enabled=false",)
+    assert overrides["FIFO only"][0] == "model.ears.memory={recency=1.0, distance=0.0}"
+    assert overrides["no aspiration"] == ("mode.heard.exploration=0",)
+    assert overrides["scalar note"] == ("channels.note={low=0, high=2}",)
+    assert overrides["smaller memories"] == (
         "model.ears.capacity=1",
         "model.thing.capacity=10",
         "model.fitted.capacity=1",
@@ -102,90 +109,227 @@ def test_variants_of_another_file_have_its_names_and_heed_settings_of_a_models_o
 @pytest.mark.parametrize("paper", [True, False])
 def test_every_variant_is_an_experiment_that_has_nothing_more_to_take_away(*, paper: bool, tmp_path: Path) -> None:
     path = PAPER if paper else other_experiment(tmp_path / "other.toml")
-    for folder, overrides in overrides_of(Experiment.read(path)).items():
-        left = overrides_of(Experiment.read(path, overrides))
-        assert folder in ("as-shipped", "smaller-memories") or not left[folder], folder
+    for name, overrides in variants_of("ablation", Experiment.read(path)).items():
+        left = variants_of("ablation", Experiment.read(path, overrides))
+        assert name in ("as shipped", "smaller memories") or not left[name], name
 
 
 def test_a_file_without_an_ingredient_has_no_such_variant(tmp_path: Path) -> None:
     path = other_experiment(tmp_path / "other.toml", channels=CONTENT["channels"] | {"note": {"high": 2.0}})
     bare = ("memory={}", "context.enabled=false", "mode.heard.exploration=0")
-    overrides = overrides_of(Experiment.read(path, bare))
-    assert [name for name, needed in overrides.items() if not needed] == [
-        "as-shipped", "no-context-detection", "fifo-only", "no-aspiration", "scalar-note",
+    variants = tables.VARIANTS["ablation"](Experiment.read(path, bare))
+    assert [variant.name for variant in variants if not variant.applies] == [
+        "no context detection", "FIFO only", "no aspiration", "scalar note",
     ]  # fmt: skip
 
 
-def test_some_variants_can_be_chosen_and_the_first_is_always_there() -> None:
-    variants = ablation_variants(Experiment.read(PAPER).brain)
-    assert [variant.folder for variant in chosen(variants, ["scalar-note"])] == ["as-shipped", "scalar-note"]
-    assert chosen(variants, []) == variants
-    with pytest.raises(ConfigError, match=r"--only 'notes': no such variant; there are as-shipped, promoters-off"):
-        chosen(variants, ["notes"])
+def test_the_paper_as_written_lacks_every_addition_and_each_comes_back_alone() -> None:
+    variants = variants_of("paper", Experiment.read(PAPER))
+    written = variants["paper as written"]
+    assert 'channels.turn={low=0, high=6, of="action"}' in written
+    experiment = Experiment.read(PAPER, written)
+    channels = experiment.brain.variables()
+    assert [channels[name].encoding for name in ("note", "action", "turn")] == ["scalar"] * 3
+    assert not any(tables.VARIANTS["paper"](experiment)[0].overrides)
+    assert [v.name for v in tables.VARIANTS["paper"](experiment) if not v.applies][:1] == [
+        "written + notes without order"
+    ]
+    for name, away in tables.ADDITIONS:
+        taken = away(Experiment.read(PAPER).brain)
+        assert variants[f"shipped - {name}"] == taken
+        assert set(variants[f"written + {name}"]) == set(written) - set(taken)
 
 
-def test_in_the_study_of_comings_two_teachers_with_their_own_languages_take_turns() -> None:
-    experiment = Experiment.read(PAPER, comings_overrides(500))
-    assert experiment.brain.experiment.iterations == 2500
-    assert experiment.teacher is not None
-    phases = experiment.teacher.phase
-    assert [(phase.start, phase.teacher) for phase in phases] == [
-        (0, "A"), (500, "B"), (1000, "A"), (1500, "B"), (2000, "A"),
+@pytest.mark.parametrize("study", [*STUDIES, "acceptance"])
+def test_all_variants_of_all_studies_can_be_run(study: str) -> None:
+    base = tables.overrides_of(STUDIES.get(study, ACCEPTANCE))
+    experiment = Experiment.read(PAPER, base)
+    variants = tables.VARIANTS[study](experiment)
+    assert len({variant.name for variant in variants}) == len(variants) >= 1
+    contents = [Experiment.read(PAPER, (*base, *variant.overrides)).content for variant in variants]
+    players = [variant.player for variant in variants]
+    assert all(content not in contents[:i] or players[i] != "brain" for i, content in enumerate(contents))
+
+
+def test_where_teachers_return_each_has_a_language_of_his_own_and_in_a_long_life_the_robot_is_alone_between() -> None:
+    memory = Experiment.read(PAPER, tables.overrides_of(STUDIES["memory"], 300))
+    assert memory.brain.experiment.iterations == 1500
+    assert memory.teacher is not None
+    assert [(phase.start, phase.teacher) for phase in memory.teacher.phase] == [
+        (0, "A"), (300, "B"), (600, "A"), (900, "B"), (1200, "A"),
     ]  # fmt: skip
+    life = Experiment.read(PAPER, tables.overrides_of(STUDIES["life"]))
+    assert life.brain.experiment.iterations == 5000
+    assert life.teacher is not None
+    assert [phase.teacher for phase in life.teacher.phase] == ["A", None, "B", None, "C", None, "D", None, "E", None]
 
 
-def study(*words: str, overrides: tuple[str, ...] = TINY) -> int:
-    settings = [word for override in overrides for word in ("--set", override)]
-    return main(["study", *words, "--seeds", "11,12", "--workers", "1", *settings])
+def test_the_short_experiment_of_the_other_tests_has_the_same_variants() -> None:
+    short, paper = Experiment.read(PAPER, SHORT), Experiment.read(PAPER)
+    assert variants_of("ablation", short) == variants_of("ablation", paper)
 
 
-def test_an_ablation_makes_table_and_figure_and_goes_on_where_it_stopped(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+# ---- sweeps ----
+
+
+def wanted(out: Path, *overrides: str, **changes: Any) -> Sweep:
+    settings = {"seeds": (801, 802), "workers": 0} | changes
+    return Sweep(experiment=PAPER, overrides=(*TINY, *PHASES, *overrides), out=out, **settings)
+
+
+def swept(study: str, of: Sweep) -> tuple[sweep.Outcome, str]:
+    told = StringIO()
+    outcome = sweep.run(sweep.tasks_of(STUDIES[study], of), of, Console(file=told, width=200))
+    return outcome, told.getvalue()
+
+
+def test_an_interrupted_sweep_goes_on_where_it_stopped_and_leaves_no_run_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ("ablation", "--only", "no-aspiration", "--out", str(tmp_path / "out"))
-    assert study(*words, overrides=(*TINY, *PHASES)) == 0
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+    (tmp_path / "tmp").mkdir()
+    of = wanted(tmp_path / "out")
+    outcome, told = swept("reproduction", of)
+    assert (outcome.there, outcome.done, outcome.failed) == (0, 4, {})
+    assert "[4/4] done: reproduction, binary reward, seed 802" in told
+    assert list((tmp_path / "tmp").iterdir()) == []
+    files = sorted(of.out.glob("*/*/*.parquet"))
+    before = {path: path.stat().st_mtime_ns for path in files}
+    files[0].unlink()
+    outcome, told = swept("reproduction", of)
+    assert (outcome.there, outcome.done) == (3, 1)
+    assert "3 of 4 runs are already there" in told
+    assert all(path.stat().st_mtime_ns == before[path] for path in files[1:])
+
+
+def test_another_experiment_another_code_and_fresh_are_run_again_and_another_study_shares(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = wanted(tmp_path, seeds=(801,))
+    assert swept("alone", of)[0].done == 1
+    assert swept("reproduction", of)[0].there == 1
+    assert swept("alone", wanted(tmp_path, "evolution.elite=2", seeds=(801,)))[0].done == 1
+    assert swept("alone", wanted(tmp_path, seeds=(801,), fresh=True))[0].done == 1
+    assert swept("alone", of)[0].there == 1
+    monkeypatch.setattr(running, "code_checksum", lambda: "another")
+    assert swept("alone", of)[0].done == 1
+
+
+def test_a_run_that_fails_is_named_and_does_not_end_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = running.do
+
+    def do(task: running.Task) -> bytes:
+        if task.label.seed == 801:
+            raise RuntimeError("the disk is full")
+        return real(task)
+
+    monkeypatch.setattr(running, "do", do)
+    settings = [word for override in (*TINY, *PHASES) for word in ("--set", override)]
+    status = main(["study", "alone", "--seeds", "801-802", "--workers", "0", "--out", str(tmp_path), *settings])
     out, progress = capsys.readouterr()
-    assert progress.count("done in") == 4
-    assert (tmp_path / "out" / "ablation.md").read_text(encoding="utf-8") == out
-    assert "| no aspiration |" in out
-    assert (tmp_path / "out" / "ablation.png").read_bytes().startswith(b"\x89PNG")
-    assert "seed11" in (tmp_path / "out" / "no-aspiration" / "acceptance.md").read_text(encoding="utf-8")
-
-    (tmp_path / "out" / "as-shipped" / "seed12" / "run.mcap").write_bytes(b"")
-    assert study(*words, overrides=(*TINY, *PHASES)) == 0
-    again, progress = capsys.readouterr()
-    assert again == out
-    assert (progress.count("already there"), progress.count("done in")) == (3, 1)
+    assert status == 3
+    assert "failed: alone, as shipped, seed 801: RuntimeError: the disk is full" in progress
+    assert "seed 802" in out
 
 
-def test_comings_are_compared_with_and_without_a_long_term_memory(
+def test_run_folders_are_kept_when_that_is_asked_for(tmp_path: Path) -> None:
+    of = wanted(tmp_path, seeds=(801,), keep=True)
+    assert swept("alone", of)[0].done == 1
+    assert (tmp_path / "runs" / "alone" / "as-shipped" / "seed801-kinematic" / "run.mcap").exists()
+    assert swept("alone", of)[0].there == 1
+
+
+def test_only_some_variants_are_run_and_the_first_always(tmp_path: Path) -> None:
+    tasks = sweep.tasks_of(STUDIES["ablation"], wanted(tmp_path, only=("scalar-note",)))
+    assert [(task.label.variant, task.label.seed) for task in tasks] == [
+        ("as shipped", 801), ("scalar note", 801), ("as shipped", 802), ("scalar note", 802),
+    ]  # fmt: skip
+    with pytest.raises(ConfigError, match=r"--only 'notes': no such variant; there are as-shipped, promoters-off"):
+        sweep.tasks_of(STUDIES["ablation"], wanted(tmp_path, only=("notes",)))
+
+
+def test_a_worker_of_another_version_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = sweep.tasks_of(STUDIES["alone"], wanted(tmp_path))[0]
+    monkeypatch.setattr(running, "code_checksum", lambda: "another")
+    with pytest.raises(Exception, match="install the same version of the project on every worker"):
+        running.do(task)
+
+
+def test_a_pool_of_processes_gives_what_this_process_gives(tmp_path: Path) -> None:
+    of = wanted(tmp_path, seeds=(801,), workers=1)
+    task = sweep.tasks_of(STUDIES["alone"], of)[0]
+    assert swept("alone", of)[0].done == 1
+    here, there = decode(running.do(task)), sweep.results_of([task], tmp_path)[0]
+    assert [row.captures for row in here.rows] == [row.captures for row in there.rows]
+
+
+# ---- the commands ----
+
+
+def study(*words: str) -> int:
+    settings = [word for override in TINY for word in ("--set", override)]
+    return main(["study", *words, "--seeds", "801,802", "--workers", "0", *settings])
+
+
+def test_an_ablation_makes_table_and_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    phases = [word for override in PHASES for word in ("--set", override)]
+    assert study("ablation", "--only", "no-aspiration", "--out", str(tmp_path), *phases) == 0
+    out, _ = capsys.readouterr()
+    assert (tmp_path / "ablation.md").read_text(encoding="utf-8") == out
+    assert "no aspiration" in out
+    assert (tmp_path / "ablation.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_comings_are_compared_with_and_without_a_long_term_memory_and_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert study("comings", "--out", str(tmp_path), "--phase", "22") == 0
     out, _ = capsys.readouterr()
-    assert out.count("| 12 | long-term memory o") == 2
+    assert out.count("| 802 | long-term memory o") == 2
     assert (tmp_path / "comings.png").read_bytes().startswith(b"\x89PNG")
+    report = tmp_path / "sim" / "REPORT.md"
+    assert main(["study", "report", "--results", str(tmp_path), "--out", str(report)]) == 0
+    assert "`mdb study memory` is missing" in report.read_text(encoding="utf-8")
 
 
-def test_a_run_of_another_experiment_or_one_that_was_stopped_is_not_taken_for_this_one(tmp_path: Path) -> None:
-    job = Job(PAPER, 11, (*TINY, *PHASES), tmp_path / "run", acceptance_row, reuse=True)
-    assert finished_record(job) is None
-    assert "done in" in acceptance._do((0, job))[2]
-    assert finished_record(job) is not None
-    assert finished_record(replace(job, overrides=(*job.overrides, "evolution.elite=2"))) is None
-    assert finished_record(replace(job, seed=12)) is None
-    log = tmp_path / "run" / "run.mcap"
-    whole = log.read_bytes()
-    log.write_bytes(whole[: len(whole) * 9 // 10])
-    assert finished_record(job) is None
+def test_an_acceptance_that_misses_a_criterion_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = [word for override in (*TINY, *PHASES, tables.KINEMATIC) for word in ("--set", override)]
+    assert main(["acceptance", "--seeds", "801", "--workers", "0", "--out", str(tmp_path), *settings]) == 1
+    out, _ = capsys.readouterr()
+    assert (tmp_path / "acceptance.md").read_text(encoding="utf-8") == out
+    assert "**no**" in out
 
 
-def test_a_study_that_cannot_be_run_says_so_before_its_first_run(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_run_says_so_before_its_first_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "comings", "--set", "long_term.capacity=0"]) == 2
     assert "expected a long-term memory" in capsys.readouterr().err
     assert main(["study", "ablation", "--set", "evolution.elites=2"]) == 2
     assert "elites" in capsys.readouterr().err
+    assert main(["study", "report", "--results", str(tmp_path / "none"), "--out", str(tmp_path / "R.md")]) == 2
+    assert "no such folder" in capsys.readouterr().err
 
 
-def test_the_short_experiment_of_the_other_tests_has_the_same_variants() -> None:
-    assert overrides_of(Experiment.read(PAPER, SHORT)) == overrides_of(Experiment.read(PAPER))
+@pytest.mark.long
+def test_a_study_that_is_ended_takes_its_workers_with_it_and_leaves_no_run_folder(tmp_path: Path) -> None:
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    settings = [word for override in (*TINY, *PHASES, "experiment.iterations=400") for word in ("--set", override)]
+    command = [sys.executable, "-m", "mdb_deploy.cli", "study", "alone", "--seeds", "801-812", *settings]
+    with subprocess.Popen(
+        [*command, "--out", str(tmp_path / "out")],
+        env=os.environ | {"TMPDIR": str(temporary)},
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        first = process.stderr.readline()
+        workers = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 130
+    assert first.startswith("[1/12] done")
+    _, alive = psutil.wait_procs(workers, 10)
+    assert alive == []
+    assert list(temporary.glob("mdb-study-*")) == []
+    assert len(list((tmp_path / "out").glob("*/*/*.parquet"))) < 12

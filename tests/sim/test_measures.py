@@ -16,9 +16,10 @@ from mdb_services.config import read_file
 from mdb_services.mechanism.network import Network
 from mdb_services.recorder import Recorder
 from mdb_sim import measures
-from mdb_sim.acceptance import acceptance_row, acceptance_table
 from mdb_sim.experiment import Experiment
 from mdb_sim.record import EXPERIMENT_FILE, RunRecord, read_record
+from mdb_sim.report.acceptance import acceptance_table
+from mdb_sim.studies.rows import rows_of
 from mdb_sim.teacher import Language, graded_feedback, make_language, turn_ranks
 
 PAPER = Path(__file__).parents[2] / "deploy" / "experiments" / "paper.toml"
@@ -289,19 +290,19 @@ def test_a_log_cut_short_is_measured_as_far_as_it_goes(tmp_path: Path, record: R
     found = read_record(run)
     assert 200 < found.iterations < 300
     assert [(s.start, s.stop) for s in found.spans] == [(0, 100), (100, 200), (200, 300), (300, 400)]
-    row = acceptance_row(found)
-    assert row.below[0] == 53
-    assert math.isnan(row.below[1])
-    assert row.captures[:2] == (16, 20)
-    assert [math.isnan(value) for value in row.captures] == [False, False, True, True]
-    assert math.isnan(row.pair_errors[1])
-    assert "| – |" in acceptance_table([row])
+    rows = rows_of(found)
+    assert rows[0].iterations_to_error == 53
+    assert math.isnan(rows[2].iterations_to_error)
+    assert [row.captures for row in rows[:2]] == [16, 20]
+    assert [math.isnan(row.captures) for row in rows] == [False, False, True, True]
+    assert math.isnan(rows[2].pair_error)
+    assert "| – (–) |" in acceptance_table({1: rows})
 
 
 def test_a_log_without_any_message_has_no_measures(tmp_path: Path) -> None:
-    row = acceptance_row(Log(tmp_path / "run").close())
-    assert row.iterations == 0
-    assert all(math.isnan(value) for value in (*row.below, *row.pair_errors, *row.obedience, *row.captures))
+    for row in rows_of(Log(tmp_path / "run").close()):
+        values = (row.iterations_to_error, row.pair_error, row.obedience, row.captures, row.ideal_captures)
+        assert all(math.isnan(value) for value in values)
 
 
 def test_without_a_known_language_full_reward_means_obedience(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The studies' statistics are honest: never stays never, one seed has no interval, the worst seed is shown."""
+"""Teachers who come again: what a coming takes, and what returns are judged by."""
 
 import math
 from collections.abc import Sequence
@@ -10,23 +10,17 @@ import pytest
 
 from mdb_sim import measures
 from mdb_sim.record import ABSENT, RunRecord, Span
-from mdb_sim.study import (
+from mdb_sim.report.comings import (
     Coming,
     ComingsRow,
-    Quantity,
-    ablation_quantities,
-    ablation_table,
     comings_row,
     comings_table,
     criterion,
-    differences,
-    estimate,
-    number,
     own_firsts,
     ratio_of,
 )
-from mdb_sim.study_figures import draw_ablation, draw_comings
-from tests.sim.test_acceptance import good_row
+from mdb_sim.report.drawings import draw_comings
+from mdb_sim.studies.rows import rows_of
 from tests.sim.test_measures import ONE, write_run
 
 INF, NAN = math.inf, math.nan
@@ -83,114 +77,12 @@ def test_obedience_that_never_came_is_not_one_that_is_not_in_the_log(short_run: 
 
 
 def test_each_taught_phase_is_a_coming_and_begins_anew(tmp_path: Path) -> None:
-    row = comings_row(write_run(tmp_path / "run"))
+    row = comings_row(rows_of(write_run(tmp_path / "run")))
     assert [coming.teacher for coming in row.comings] == ["one", "two"]
     assert [coming.disobeyed for coming in row.comings] == [20, 20]
     assert [len(coming.recent) for coming in row.comings] == [100, 100]
     # Obeyed from the middle on, but for every fourth: never 18 of 20.
     assert [coming.iterations for coming in row.comings] == [INF, INF]
-
-
-# ---- statistics ----
-
-
-def test_an_interval_is_as_wide_as_the_standard_error_asks_and_always_the_same() -> None:
-    values = np.random.default_rng(3).normal(5.0, 1.0, size=100)
-    found = estimate(values, "mean")
-    assert found.value == pytest.approx(values.mean())
-    assert found.high - found.low == pytest.approx(2 * 1.96 * np.std(values) / 10, rel=0.05)
-    assert found.low < found.value < found.high
-    assert estimate(values, "mean") == found
-
-
-def test_equal_seeds_have_no_width_and_one_seed_has_no_interval() -> None:
-    assert estimate([4.0] * 10, "median") == estimate([4.0] * 3, "median")
-    assert (estimate([4.0] * 10, "mean").low, estimate([4.0] * 10, "mean").high) == (4.0, 4.0)
-    found = estimate([4.0], "mean")
-    assert found.value == 4.0
-    assert math.isnan(found.low)
-
-
-def test_never_is_more_than_any_number_and_a_missing_value_is_not_left_out() -> None:
-    assert estimate([50.0, 60.0, INF], "median").value == 60.0
-    assert estimate([50.0, 60.0, INF], "median").high == INF
-    assert estimate([50.0, INF], "median").value == INF
-    assert estimate([50.0, 60.0, INF], "mean").value == INF
-    assert math.isnan(estimate([50.0, NAN], "median").value)
-    assert math.isnan(estimate([], "median").value)
-
-
-def test_a_seed_that_never_came_to_it_either_way_makes_no_difference() -> None:
-    assert differences([INF, INF, 50.0, 70.0], [INF, 60.0, INF, 60.0]) == [0.0, INF, -INF, 10.0]
-    assert math.isnan(differences([NAN], [60.0])[0])
-    assert estimate([INF, -INF], "median").value == 0.0
-
-
-def quantity(values: dict[str, Sequence[float]]) -> Quantity:
-    return Quantity(
-        name="iterations",
-        seeds=tuple(range(1, len(next(iter(values.values()))) + 1)),
-        values={variant: tuple(of) for variant, of in values.items()},
-        statistic="median",
-        low_is_good=True,
-        shape=number,
-    )
-
-
-def test_a_difference_is_paired_so_seeds_that_differ_among_themselves_do_not_hide_it() -> None:
-    shipped = [10.0, 500.0, 90.0, 210.0, 370.0, 440.0]
-    found = quantity({"as shipped": shipped, "slower": [value + 5 for value in shipped], "same": shipped})
-    assert found.difference("slower").value == 5.0
-    assert [found.verdict(variant) for variant in found.values] == ["", "worse", ""]
-    faster = quantity({"as shipped": shipped, "faster": [value - 5 for value in shipped]})
-    assert faster.verdict("faster") == "better"
-
-
-def test_few_seeds_make_nothing_clear() -> None:
-    found = quantity({"as shipped": [10.0] * 5, "slower": [99.0] * 5})
-    assert found.difference("slower").clear
-    assert found.verdict("slower") == ""
-
-
-def test_the_worst_seed_is_the_one_that_never_came_to_it_or_has_no_value() -> None:
-    found = quantity({"a": [10.0, INF, 30.0], "b": [NAN, INF, 30.0]})
-    assert found.worst("a") == (INF, 2)
-    assert found.worst("b")[1] == 1
-    assert [found.never("a"), found.never("b")] == [1, 1]
-    assert replace(found, low_is_good=False, values={"a": (3.0, 1.0, 2.0)}).worst("a") == (1.0, 2)
-
-
-# ---- ablation ----
-
-RESULTS = {
-    "as shipped": [good_row(seed) for seed in SEEDS],
-    "worse": [replace(good_row(seed), captures=(69.0, 50.0 + seed, 106.0, 111.0)) for seed in SEEDS],
-    "slow": [replace(good_row(seed), below=(45.0, INF if seed < 14 else 200.0)) for seed in SEEDS],
-}
-
-
-def test_the_table_says_what_matters_counts_never_and_shows_the_worst_seed() -> None:
-    table = ablation_table(ablation_quantities(RESULTS))
-    assert "| worse | 45 | 80 | 4.0 % | 3.0 % | 99.0 % | 97.0 % | 69 | 65.5 **worse** | 106 | 111 |" in table
-    assert "| worse | 65.5 [63.7, 67.3] | 65.5 [63, 68] | 61 (11) | -46.5 [-48.3, -44.7] **worse** |" in table
-    assert "| slow | – | 200 [200, never] | never (11) | 3 of 10 | +120 [+120, +∞] **worse** |" in table
-    assert "Of 20 comparisons, about 1 would be so by chance alone" in table
-    assert "| as shipped | 112 [112, 112] | 112 [112, 112] | 112 (11) |  |" in table
-
-
-def test_runs_of_other_seeds_are_not_compared() -> None:
-    with pytest.raises(ValueError, match="expected runs of the seeds"):
-        ablation_quantities({"as shipped": [good_row(1)], "other": [good_row(2)]})
-
-
-def test_the_figure_of_the_ablation_is_made_also_of_nothing_and_of_one_seed(tmp_path: Path) -> None:
-    nothing = replace(good_row(1), below=(INF, NAN), obedience=(NAN, NAN))
-    for name, results in {"all": RESULTS, "one": {"as shipped": [nothing], "other": [nothing]}}.items():
-        png, svg = draw_ablation(ablation_quantities(results), tmp_path / name)
-        assert png.read_bytes().startswith(b"\x89PNG")
-        assert "never" in svg.read_text()
-    assert "no data in these logs" in (tmp_path / "one.svg").read_text()
-    assert "3 of 10" in (tmp_path / "all.svg").read_text()
 
 
 # ---- teachers who come again ----
@@ -244,7 +136,7 @@ def test_the_table_of_comings_shows_each_seed_and_what_a_whole_window_allows() -
 
 def test_the_figure_of_comings_has_a_panel_a_coming(tmp_path: Path) -> None:
     rows = [row(seed, 240, 80, 21, 24, 20) for seed in SEEDS]
-    png, svg = draw_comings({"on": rows, "off": rows}, tmp_path / "comings")
+    png, svg = draw_comings({"on": rows, "off": rows}, tmp_path / "comings", ("png", "svg"))
     assert png.read_bytes().startswith(b"\x89PNG")
     assert all(f"coming {place}: teacher" in svg.read_text() for place in range(1, 6))
     assert draw_comings({"on": [row(11, 30)]}, tmp_path / "one")[0].exists()

@@ -1,4 +1,4 @@
-"""The figures of the studies in `study`: every seed a dot or a thin line, every statistic with its interval.
+"""Figures of comparisons: every seed a dot or a thin line, every statistic with its interval.
 
 Owns how they look; needs matplotlib, like `figures`.
 """
@@ -6,6 +6,7 @@ Owns how they look; needs matplotlib, like `figures`.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -16,15 +17,21 @@ import numpy as np
 from mdb_sim import measures
 from mdb_sim.figures import BLUE, GREEN, INK, MUTED, ORANGE, band, note, save
 from mdb_sim.record import Floats
-from mdb_sim.study import FEWEST, ComingsRow, Quantity, percent, seeds_text
+from mdb_sim.report.comings import ComingsRow
+from mdb_sim.report.quantities import Quantity
+from mdb_sim.report.statistics import FEWEST, percent, seeds_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 COLUMNS = 2
-ROW_IN, WIDTH_IN = 0.3, 11.0
+KINDS = ("png",)
+"""Kinds of files that are drawn unless others are asked for."""
+ROW_IN, WIDTH_IN = 0.27, 11.0
 """Inches of figure for a row of a panel, and for a figure."""
+TITLE_LETTERS = 42
+"""A panel's title is broken after so many."""
 COLOURS = {"": MUTED, "better": GREEN, "worse": ORANGE}
 """Of an interval, by how it differs from the reference."""
 VARIANT_COLOURS = (BLUE, ORANGE, GREEN, MUTED)
@@ -32,14 +39,16 @@ TICKS = (1, 5, measures.RECENT, 100, 500, 2000)
 """Iterations of a coming that are named at its axis: among them the first whole window."""
 
 
-def draw_ablation(quantities: Sequence[Quantity], stem: Path) -> list[Path]:
-    """Draw one panel a measure with one row a variant, as PNG and SVG; return the files."""
+def draw_quantities(
+    quantities: Sequence[Quantity], stem: Path, title: str, kinds: Sequence[str] = KINDS
+) -> list[Path]:
+    """Draw one panel a measure with one row a variant; return the files."""
     rows = math.ceil(len(quantities) / COLUMNS)
-    height_in = rows * (1.0 + ROW_IN * len(quantities[0].values)) + 0.8
-    return save(stem, (WIDTH_IN, height_in), lambda figure: _fill_ablation(quantities, figure))
+    height_in = rows * (1.2 + ROW_IN * len(quantities[0].values)) + 0.8
+    return save(stem, (WIDTH_IN, height_in), lambda figure: _fill_quantities(quantities, title, figure), kinds)
 
 
-def _fill_ablation(quantities: Sequence[Quantity], figure: Figure) -> None:
+def _fill_quantities(quantities: Sequence[Quantity], title: str, figure: Figure) -> None:
     rows = math.ceil(len(quantities) / COLUMNS)
     panels: list[Axes] = list(figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).flat)
     for axes, quantity in zip(panels, quantities, strict=False):
@@ -48,7 +57,7 @@ def _fill_ablation(quantities: Sequence[Quantity], figure: Figure) -> None:
         axes.set_visible(False)
     seeds, reference = quantities[0].seeds, quantities[0].reference
     figure.suptitle(
-        f"What each ingredient brings: {seeds_text(seeds)}, each a dot; bar: 95 % interval",
+        f"{title}: {seeds_text(seeds)}, each a dot; bar: 95 % interval",
         x=0.01, ha="left", fontsize=12,
     )  # fmt: skip
     _legend(figure, reference, clear=len(seeds) >= FEWEST)
@@ -95,7 +104,8 @@ def _draw_quantity(axes: Axes, quantity: Quantity) -> None:
     if quantity.shape is percent:
         axes.locator_params(axis="x", nbins=6)
         axes.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
-    axes.set_title(f"{quantity.name}: {quantity.statistic}, {'← better' if quantity.low_is_good else 'better →'}")
+    title = f"{quantity.name}: {quantity.statistic}, {'← better' if quantity.low_is_good else 'better →'}"
+    axes.set_title(textwrap.fill(title, TITLE_LETTERS))
     if not values:
         note(axes, "no data in these logs")
 
@@ -121,11 +131,11 @@ def _never_edge(axes: Axes, finite: Sequence[float]) -> float:
     return edge
 
 
-def draw_comings(results: Mapping[str, Sequence[ComingsRow]], stem: Path) -> list[Path]:
-    """Draw obedience within each coming, one row of panels a teacher, as PNG and SVG; return the files."""
+def draw_comings(results: Mapping[str, Sequence[ComingsRow]], stem: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
+    """Draw obedience within each coming, one row of panels a teacher; return the files."""
     comings = next(iter(results.values()))[0].comings
     teachers = list(dict.fromkeys(coming.teacher for coming in comings))
-    return save(stem, (WIDTH_IN, 1.0 + 3.1 * len(teachers)), lambda figure: _fill_comings(results, figure))
+    return save(stem, (WIDTH_IN, 1.0 + 3.1 * len(teachers)), lambda figure: _fill_comings(results, figure), kinds)
 
 
 def _fill_comings(results: Mapping[str, Sequence[ComingsRow]], figure: Figure) -> None:

@@ -1,0 +1,114 @@
+"""The report: one section a study, in a fixed order, from results alone. What is missing is said to be missing.
+
+Owns the frame: titles, what a section is made of, where figures go. What is shown of each study is in `sections`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from statistics import median
+
+from mdb_sim.report.paper import statements_table
+from mdb_sim.report.quantities import runs_of
+from mdb_sim.report.sections import SECTIONS, Section
+from mdb_sim.report.short import in_short
+from mdb_sim.report.statistics import seeds_text
+from mdb_sim.studies.catalogue import REPORTED, Study
+from mdb_sim.studies.results import Result
+
+GALLERY = "gallery"
+INTRODUCTION = """\
+# The study
+
+What the mechanism does, over many seeds, and what of the paper it keeps: *Induced behavior in a real agent using
+the Multilevel Darwinist Brain* (Bellas, Becerra, Duro). `mdb study all` makes the results, `mdb study report`
+this page and its figures from them. All runs are in lockstep: a seed gives the same run every time.
+
+How to read it. A run's captures in a phase are compared with its own **ideal**: a policy that sees the truth and
+always faces the object, from where the phase begins, on the same placements of the object. In the first phase both
+count from the end of the forced exploration on. **Obedience** is the share of commands obeyed in the last two fifths
+of a phase; **iterations to 90 % obedience** end with the first 20 commands of which 18 were obeyed, so 20 is the
+least. Errors are mean squared, feedback lies in ±1, and 0.1 is what “10 %” means: **prequential** is the error on
+each pair before it was learnt (mean of 40), the one **over all pairs** is that on every command with every action.
+Intervals are 95 % bootstrap intervals over the seeds. “never” counts as more than any number; “–” is what a run does
+not hold.
+"""
+
+
+def write(results: Sequence[Result], out: Path) -> list[Path]:
+    """Write the report and its figures, which go into `gallery` beside it; return the files."""
+    found: dict[str, list[Result]] = {}
+    for result in results:
+        found.setdefault(result.label.study, []).append(result)
+    parts, files = [INTRODUCTION, in_short(found)], []
+    gallery = out.parent / GALLERY
+    for number, study in enumerate(REPORTED, 1):
+        parts.append(f"## {number}. {study.name.capitalize()}: {study.what}")
+        if study.name == "reproduction":
+            parts += ["### The paper's statements, one by one", statements_table(found)]
+        if study.name not in found:
+            parts.append(f"Not measured yet: `mdb study {study.name}` is missing in these results.")
+            continue
+        text, figures = _section(study, found[study.name], gallery, GALLERY)
+        parts.append(text)
+        files += figures
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(_joined(parts), encoding="utf-8")
+    return [out, *files]
+
+
+def one(study: Study, results: Sequence[Result], folder: Path) -> tuple[str, list[Path]]:
+    """Return what is said of one study, and its figures, which are drawn into a folder."""
+    text, figures = _section(study, results, folder, ".")
+    return _joined([f"# {study.name.capitalize()}: {study.what}", text]), figures
+
+
+def _section(study: Study, results: Sequence[Result], folder: Path, link: str) -> tuple[str, list[Path]]:
+    parts: list[str] = []
+    files: list[Path] = []
+    bodies = list(dict.fromkeys(result.label.body for result in results))
+    for body in bodies:
+        of = [result for result in results if result.label.body == body]
+        name = study.name if body == "kinematic" else f"{study.name}-{body}"
+        seconds: dict[str, list[float]] = {}
+        for result in sorted(of, key=lambda result: result.label.order):
+            seconds.setdefault(result.label.variant, []).append(result.label.seconds)
+        stem = folder / "".join(c if c.isalnum() else "-" for c in name)
+        section = Section(
+            study, runs_of(of), stem, link, {variant: median(took) for variant, took in seconds.items()}
+        )
+        if len(bodies) > 1:
+            parts.append(f"### Body: {body}")
+        parts.append(_described(study, of))
+        parts.append(SECTIONS[study.name](section))
+        files += section.files
+    return _joined(parts), files
+
+
+def _described(study: Study, results: Sequence[Result]) -> str:
+    """Return what the results are of: seeds, body, code, settings; and what is missing in them."""
+    first = results[0]
+    counts = Counter(result.label.seed for result in results)
+    variants = {result.label.variant for result in results}
+    seeds = sorted(counts)
+    whole = [seed for seed in seeds if counts[seed] == len(variants)]
+    codes = sorted({result.label.code for result in results})
+    minutes = sum(result.label.seconds for result in results) / 60
+    text = (
+        f"`mdb study {study.name}`: {first.rows[-1].stop} iterations, body {first.label.body}, {seeds_text(seeds)}; "
+        f"{len(results)} runs, {minutes:.0f} minutes of one core; code {', '.join(codes)}."
+    )
+    if len(codes) > 1:
+        text += " **These runs are of more than one version of the code**: `mdb study` again makes them alike."
+    if len(whole) < len(seeds):
+        lacking = ", ".join(map(str, (seed for seed in seeds if seed not in whole)))
+        text += (
+            f" **Not whole**: runs of the seeds {lacking} are missing for some variants; these seeds are left out."
+        )
+    return text
+
+
+def _joined(parts: Iterable[str]) -> str:
+    return "\n\n".join(part.strip("\n") for part in parts if part) + "\n"

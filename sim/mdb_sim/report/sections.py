@@ -1,0 +1,254 @@
+"""What is shown of each study: its tables and figures.
+
+Owns the choice and the words around it. How numbers are compared is in `quantities`, how they look in `drawings`
+and `curves`. A new study gets a function here and a line in `SECTIONS`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+from mdb_sim.report import curves, drawings
+from mdb_sim.report.acceptance import criteria_table, error_without_obedience, failures, seeds_table
+from mdb_sim.report.comings import comings_of, comings_table
+from mdb_sim.report.quantities import (
+    SHARE,
+    Runs,
+    all_quantities,
+    capture_rate,
+    figure_quantities,
+    main_quantities,
+    phase_name,
+    phases_of,
+    quantity,
+    quantity_table,
+    summary,
+)
+from mdb_sim.report.statistics import estimate, interval, markdown, number, percent, text, wilson
+from mdb_sim.studies import tables
+from mdb_sim.studies.catalogue import Study
+from mdb_sim.studies.rows import PhaseRow
+
+
+@dataclass(frozen=True)
+class Section:
+    """What a section is made from, and the files that it makes."""
+
+    study: Study
+    runs: Runs
+    stem: Path
+    """Beginning of its figures' paths, without ending."""
+    link: str
+    """The figures' folder as the text names it."""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """What a run took, by variant: the median."""
+    files: list[Path] = field(default_factory=list)
+
+    def figure(self, drawn: Sequence[Path], caption: str) -> str:
+        """Keep a figure's files; return the lines that show it."""
+        self.files.extend(drawn)
+        title = caption.partition(".")[0].partition(":")[0]
+        return f"![{title}]({self.link}/{drawn[0].name})\n\n*{caption}*"
+
+    def named(self, name: str) -> Path:
+        """Return the path of one of several figures, without ending."""
+        return self.stem.with_name(f"{self.stem.name}-{name}")
+
+
+def reproduction(section: Section) -> str:
+    """Figures 4 to 6, what was captured, and the slopes."""
+    runs = section.runs
+    return _paragraphs(
+        section.figure(
+            curves.draw_errors(runs, section.named("figure4")),
+            "Figure 4: error of the communication model. Mean of the seeds with its 95 % band; nothing is drawn "
+            "where nobody teaches.",
+        ),
+        section.figure(
+            curves.draw_captures(runs, section.named("figure5")),
+            "Figure 5: captures of the object. Each seed thin, mean with its 95 % band; dashed: mean of the ideals.",
+        ),
+        section.figure(
+            curves.draw_paths(runs, section.named("figure6")),
+            "Figure 6: typical episodes of the first seed, those of the most ordinary length.",
+        ),
+        summary(all_quantities(runs)),
+        "**The slope.** Captures in 100 iterations, and movements to a capture (mean of the seeds):",
+        slopes_table(runs),
+        *(f"{variant}: {error_without_obedience(seeds)}" for variant, seeds in runs.items()),
+    )
+
+
+def slopes_table(runs: Runs) -> str:
+    """Return how fast objects are captured with a teacher and in the phase alone that follows."""
+    head = ["reward", "phases", "per 100, taught [95 %]", "per 100, alone [95 %]", "change [95 %]"]
+    head += ["movements to a capture, taught", "alone"]
+    rows = []
+    for variant, seeds in runs.items():
+        phases = next(iter(seeds.values()))
+        for taught, alone in pairwise(phases):
+            if taught.alone or not alone.alone:
+                continue
+            before = [100 * capture_rate(rows_[taught.phase]) for rows_ in seeds.values()]
+            after = [100 * capture_rate(rows_[alone.phase]) for rows_ in seeds.values()]
+            change = [b / a - 1 if a > 0 else math.nan for a, b in zip(before, after, strict=True)]
+            cells = [interval(estimate(values, "mean"), number) for values in (before, after)]
+            cells.append(interval(estimate(change, "mean"), percent))
+            steps = [number(mean_steps(rows_[p.phase] for rows_ in seeds.values())) for p in (taught, alone)]
+            rows.append([variant, f"{taught.name}, {alone.name}", *cells, *steps])
+    return markdown(head, rows)
+
+
+def mean_steps(rows: Iterable[PhaseRow]) -> float:
+    """Return the mean number of movements to a capture."""
+    steps = [float(step) for row in rows for step in row.capture_steps]
+    return sum(steps) / len(steps) if steps else math.nan
+
+
+def paper(section: Section) -> str:
+    """The paper as written against what is shipped, and each addition on and off."""
+    runs = section.runs
+    written = runs.get(tables.AS_WRITTEN)
+    return _paragraphs(
+        "“Written”: note and action each one number, the action in the paper's listing; memories first in first out; "
+        "no exploration by aspiration, no detector of changes, no long-term memory. Then each addition alone, and "
+        "everything without it.",
+        summary(main_quantities(runs)),
+        "As written: " + error_without_obedience(written) if written else "",
+        _variants_figure(section, "What each addition brings, alone and all but it."),
+        _failures(runs),
+    )
+
+
+def teachers(section: Section) -> str:
+    """Teachers as they are."""
+    return _paragraphs(
+        "The settings hold for both teachers. A note counts as obeyed when it is obeyed as it sounds, also a wrong "
+        "one. “knows the language” is a player that obeys each note as it sounds and does anything when alone: what "
+        "wrong notes leave to be captured at all.",
+        summary(main_quantities(section.runs), "teachers"),
+        _variants_figure(section, "Teachers as they are."),
+        _failures(section.runs),
+    )
+
+
+def learners(section: Section) -> str:
+    """Learners in the closed loop, and players without our mechanism."""
+    return _paragraphs(
+        "Gaussian processes: a bandit with the upper confidence bound for each note, which forgets when it is "
+        "surprised, and when alone a Gaussian process from reading and action to feedback. It sees what the brain "
+        "sees. “knows the language” obeys each note as it sounds and does anything when alone. No player but the "
+        "brain has errors of a communication model.",
+        summary(main_quantities(section.runs), "who"),
+        _variants_figure(section, "Learners and players."),
+        _failures(section.runs),
+        "What a run took, on the machines that did these, as busy as they were:",
+        markdown(["who", "seconds, median"], [[who, number(took)] for who, took in section.seconds.items()]),
+    )
+
+
+def memory(section: Section) -> str:
+    """Teachers who return: obedience at each coming."""
+    comings = comings_of(section.runs)
+    return _paragraphs(
+        comings_table(comings),
+        section.figure(
+            drawings.draw_comings(comings, section.stem),
+            "Obedience at each coming of a teacher. Each seed thin, mean with its 95 % band.",
+        ),
+    )
+
+
+def life(section: Section) -> str:
+    """Phase by phase, what is captured of the ideal."""
+    runs = section.runs
+    phases = phases_of(runs)
+    shares = [quantity(runs, SHARE, row.phase, phase_name(runs, row.phase)) for row in phases]
+    variant = next(iter(runs))
+    head = ["phase", "captures, share of ideal [95 %]", "median [95 %]", "worst (seed)", "below 90 % [95 %]"]
+    rows = []
+    for row, share in zip(phases, shares, strict=True):
+        values = share.values[variant]
+        below = sum(not value >= 0.9 for value in values)
+        value, seed = share.worst(variant)
+        cells = [interval(estimate(values, "mean"), percent), interval(estimate(values, "median"), percent)]
+        failed = f"{below} of {len(values)}, {interval(wilson(below, len(values)), percent)}" if row.alone else ""
+        rows.append([share.name, *cells, f"{text(value, percent)} ({seed})", failed])
+    return _paragraphs(
+        markdown(head, rows),
+        section.figure(
+            curves.draw_life(runs, section.stem),
+            "A long life: captures as a share of the ideal, phase by phase. Each seed a dot; bar: 95 % interval of "
+            "the mean; phases below 90 % of the ideal by their seed's number.",
+        ),
+        _failures(runs),
+    )
+
+
+def alone(section: Section) -> str:
+    """The goal table, the failure rate, and all seeds."""
+    seeds = next(iter(section.runs.values()))
+    return _paragraphs(
+        criteria_table(seeds),
+        section.figure(
+            curves.draw_seeds(section.runs, section.stem),
+            "Every seed: captures as a share of its own ideal, those alone below 90 % by number. Band: 95 % interval "
+            "of the mean.",
+        ),
+        "<details><summary>Every seed in numbers</summary>",
+        seeds_table(seeds),
+        "</details>",
+    )
+
+
+def ablation(section: Section) -> str:
+    """Every measure under every variant."""
+    quantities = all_quantities(section.runs)
+    details = [part for q in quantities for part in (f"### {q.name}", quantity_table([q], "variant"))]
+    return _paragraphs(
+        summary(quantities),
+        section.figure(
+            drawings.draw_quantities(quantities, section.stem, "What each ingredient brings"),
+            "What each ingredient brings. Each seed a dot; bar: 95 % interval.",
+        ),
+        *details,
+    )
+
+
+def _variants_figure(section: Section, caption: str) -> str:
+    runs = section.runs
+    quantities = figure_quantities(runs)
+    drawn = drawings.draw_quantities(quantities, section.stem, caption.rstrip("."))
+    return section.figure(drawn, f"{caption} Each seed a dot; bar: 95 % interval.")
+
+
+def _failures(runs: Runs) -> str:
+    """Return how many phases alone failed under each variant."""
+    head = ["variant", "phases alone below 90 % of the ideal", "rate [95 %, Wilson]"]
+    rows = []
+    for variant, seeds in runs.items():
+        count, of = failures(seeds)
+        rows.append([variant, f"{count} of {of}", interval(wilson(count, of), percent)])
+    return markdown(head, rows)
+
+
+def _paragraphs(*parts: str) -> str:
+    return "\n\n".join(part.strip("\n") for part in parts if part)
+
+
+SECTIONS: dict[str, Callable[[Section], str]] = {
+    "reproduction": reproduction,
+    "paper": paper,
+    "teachers": teachers,
+    "learners": learners,
+    "memory": memory,
+    "life": life,
+    "alone": alone,
+    "ablation": ablation,
+    "comings": memory,
+}
+"""What is shown of each study, by its name."""

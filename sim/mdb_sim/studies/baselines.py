@@ -1,0 +1,198 @@
+"""What the brain is compared with: players without its mechanism, in the same world, with the same teachers.
+
+Owns the loop of a player and the plain players; the strong one is in `gaussian`. A run gives the record that a
+brain's run gives, so the same measures hold. A player sees what the brain sees: readings, notes, feedback; the
+plain ones that see the truth or know the language say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from mdb_protocol import keys, messages
+from mdb_protocol.errors import ConfigError
+from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_services.config import EXPERIMENT_FILE
+from mdb_services.mechanism import streams
+from mdb_services.recorder import Recorded
+from mdb_sim.experiment import Experiment
+from mdb_sim.placements import message_of
+from mdb_sim.record import RunRecord, record_of
+from mdb_sim.robot import Placement, Reading, Robot, Step
+from mdb_sim.schedule import Schedule, schedule_of
+from mdb_sim.studies.gaussian import GaussianPlayer
+from mdb_sim.teacher_service import ScriptedTeacher
+from mdb_sim.twins import ideal_policy
+
+M = TypeVar("M")
+
+
+class Player(Protocol):
+    """Whoever chooses actions in the place of the brain."""
+
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Placement) -> int:
+        """Return the action for an iteration that begins with this reading, after this note."""
+
+    def did(self, iteration: int, reading: Reading, note: int | None, action: int) -> None:
+        """Take what was done in an iteration: while exploration is forced, another action than was chosen."""
+
+    def learn(self, iteration: int, feedback: float) -> None:
+        """Take the feedback for the action of an iteration."""
+
+
+class _Plain:
+    """A player that learns nothing."""
+
+    def did(self, iteration: int, reading: Reading, note: int | None, action: int) -> None:
+        """See `Player`."""
+
+    def learn(self, iteration: int, feedback: float) -> None:
+        """See `Player`."""
+
+
+class IdealPlayer(_Plain):
+    """Sees the truth, and always faces the object: what can be captured at all."""
+
+    def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
+        del schedule
+        self._policy = ideal_policy(experiment.robot.world)
+
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Placement) -> int:
+        """See `Player`."""
+        del iteration, reading, note
+        return self._policy(truth)
+
+
+class RandomPlayer(_Plain):
+    """Any action, each as likely."""
+
+    def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
+        del schedule
+        self._seed, self._actions = experiment.brain.experiment.seed, experiment.brain.optimizer.actions
+
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Placement) -> int:
+        """See `Player`."""
+        del reading, note, truth
+        return int(streams.generator(self._seed, "baseline/random", iteration).integers(self._actions))
+
+
+class ObedientPlayer(RandomPlayer):
+    """Knows every teacher's language and obeys each note as it sounds; without a note it acts at random."""
+
+    def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
+        super().__init__(experiment, schedule)
+        self._schedule = schedule
+
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Placement) -> int:
+        """See `Player`."""
+        language = self._schedule.at(iteration).language
+        if note is None or language is None:
+            return super().act(iteration, reading, note, truth)
+        return language.command(note)
+
+
+PLAYERS: dict[str, Callable[[Experiment, Schedule], Player]] = {
+    "ideal": IdealPlayer,
+    "obedient": ObedientPlayer,
+    "random": RandomPlayer,
+    "gaussian": GaussianPlayer,
+}
+"""The players by name."""
+
+
+def play(experiment: Experiment, name: str, run: Path) -> RunRecord:
+    """Run an experiment with a player in the place of the brain; nothing is written but the experiment."""
+    if name not in PLAYERS:
+        raise ConfigError(f"no player {name!r}; expected one of {', '.join(PLAYERS)}")
+    if experiment.teacher is None:
+        raise ConfigError("a baseline needs the scripted teacher; the experiment file has no [teacher] section")
+    run.mkdir(parents=True, exist_ok=True)
+    experiment.write(run / EXPERIMENT_FILE)
+    schedule = schedule_of(experiment.teacher, experiment.brain.experiment.seed, experiment.robot.world)
+    player = PLAYERS[name](experiment, schedule)
+    body = experiment.body()
+    try:
+        return record_of(run, experiment, list(_log(experiment, schedule, player, body)))
+    finally:
+        body.close()
+
+
+class _Teacher:
+    """The scripted teacher over a bus of its own: he is shown a scene, and answers at once."""
+
+    def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
+        fabric, brain = Fabric(), experiment.brain.experiment.brain
+        self._bus = MemoryBus(fabric, brain)
+        self._notes, self._feedback = self._bus.subscriber(keys.COMMAND), self._bus.subscriber(keys.FEEDBACK)
+        self._phases = self._bus.subscriber(keys.PHASE)
+        self._scenes = self._bus.publisher(keys.SCENE)
+        self._script = ScriptedTeacher(MemoryBus(fabric, brain), schedule)
+
+    def shown(self, scene: messages.Scene) -> tuple[int | None, list[messages.Feedback], list[messages.Phase]]:
+        """Return the note for the next action, what is said of the actions before, and the phase that begins."""
+        self._scenes.put(scene)
+        while self._script.step():
+            pass
+        notes = [command.note for command in _taken(self._notes.take) if command.note is not None]
+        return (notes[0] if notes else None), list(_taken(self._feedback.take)), list(_taken(self._phases.take))
+
+
+def _taken(take: Callable[[], M | None]) -> Iterator[M]:
+    while (message := take()) is not None:
+        yield message
+
+
+def _log(experiment: Experiment, schedule: Schedule, player: Player, body: Robot) -> Iterator[Recorded]:
+    """Yield what a recorder would have written of a run: phases, scenes and reports."""
+    seed, random_iterations = experiment.brain.experiment.seed, experiment.brain.optimizer.random_iterations
+    teacher, anything = _Teacher(experiment, schedule), RandomPlayer(experiment, schedule)
+    step = body.reset(seed)
+    note, _, phases = teacher.shown(_scene(step, None, None))
+    yield from (Recorded(keys.PHASE, "", phase, 0.0) for phase in phases)
+    yield Recorded(keys.SCENE, "", _scene(step, None, None), 0.0)
+    for iteration in range(experiment.brain.experiment.iterations):
+        before = step
+        explored = iteration < random_iterations
+        chooser = anything if explored else player
+        action = chooser.act(iteration, before.next_reading, note, before.now)
+        player.did(iteration, before.next_reading, note, action)
+        step = body.act(action)
+        scene = _scene(step, action, before.now)
+        next_note, feedback, phases = teacher.shown(scene)
+        value = None
+        for judged in feedback:
+            if judged.value is not None:
+                credited = iteration if judged.iteration is None else judged.iteration
+                player.learn(credited, judged.value)
+                value = judged.value if credited == iteration else value
+        report = messages.IterationReport(
+            iteration=iteration,
+            mode="baseline",
+            action=action,
+            explored=explored,
+            predicted=None,
+            note=note,
+            feedback=value,
+            event=step.event,
+            prequential={},
+            versions={},
+        )
+        yield Recorded(keys.ITERATION, "", report, 0.0)
+        yield Recorded(keys.SCENE, "", scene, 0.0)
+        yield from (Recorded(keys.PHASE, "", phase, 0.0) for phase in phases)
+        note = next_note
+
+
+def _scene(step: Step, action: int | None, before: Placement | None) -> messages.Scene:
+    return messages.Scene(
+        iteration=step.iteration,
+        episode=step.episode,
+        captures=step.captures,
+        event=step.event,
+        action=action,
+        before=message_of(before) if before is not None else None,
+        reached=message_of(step.reached),
+        now=message_of(step.now),
+    )

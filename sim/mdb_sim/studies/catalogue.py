@@ -1,0 +1,44 @@
+"""Which studies there are: names, what they are about, usual seeds. Plain data, which the command line can afford.
+
+What each compares is in `tables`, what is shown of it in `report.sections`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+PHASE = 500
+"""Iterations of a phase (paper, section 3)."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A named comparison over many seeds."""
+
+    name: str
+    what: str
+    seeds: str
+    own_schedule: bool = False
+    """Whether it makes its own phases, all of one length, in the place of the file's."""
+
+
+REPORTED = (
+    Study("reproduction", "figures 4 to 6 of the paper, with graded and with binary reward", "1001-1050"),
+    Study("paper", "the paper as written, and what each of our additions brings", "1001-1020"),
+    Study("teachers", "teachers as they are: late, wrong, silent, binary, relative", "1001-1020"),
+    Study("learners", "other learners in the closed loop, and players without our mechanism", "1001-1020"),
+    Study("memory", "teachers A, B, A, B, A, who err or not, with long-term memory and without", "1001-1020", True),
+    Study("life", "five teachers in a row, and the robot alone after each", "1001-1020", True),
+    Study("alone", "the goal: each phase alone against that seed's ideal", "1001-1100"),
+)
+"""What the report is made of, in its order."""
+STUDIES = {
+    study.name: study
+    for study in (
+        *REPORTED,
+        Study("ablation", "as shipped against one ingredient less: table and figure", "11-20"),
+        Study("comings", "teachers A, B, A, B, A: how fast one who comes back is obeyed again", "11-20", True),
+    )
+}
+"""The studies of `mdb study`, by name."""
+ACCEPTANCE = Study("acceptance", "many seeds, judged by the acceptance table", "1-5")

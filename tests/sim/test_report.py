@@ -1,0 +1,120 @@
+"""The report is made from results alone, says what is missing, and tells no number that was not measured."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from mdb_sim.report import document
+from mdb_sim.report.measured import NOT_YET
+from mdb_sim.report.paper import STATEMENTS, statements_table
+from mdb_sim.report.sections import SECTIONS
+from mdb_sim.studies import tables
+from mdb_sim.studies.catalogue import REPORTED, STUDIES
+from mdb_sim.studies.results import Result
+from tests.sim.phases import label, phase, results, run
+
+ROOT = Path(__file__).parents[2]
+VARIANTS = {
+    "reproduction": ["graded reward", "binary reward"],
+    "paper": ["as shipped", "paper as written", "written + aspiration", "shipped - aspiration"],
+    "teachers": ["perfect", "10 % wrong notes"],
+    "learners": ["pbga (as shipped)", "Gaussian processes"],
+    "memory": ["long-term memory on", "long-term memory off"],
+    "life": ["as shipped"],
+    "alone": ["as shipped"],
+}
+
+
+def everything() -> list[Result]:
+    return [result for study, variants in VARIANTS.items() for result in results(study, variants)]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    out = tmp_path_factory.mktemp("report") / "sim" / "REPORT.md"
+    files = document.write(everything(), out)
+    assert files[0] == out
+    assert all(path.stat().st_size > 1000 for path in files)
+    return out.read_text(encoding="utf-8"), out.parent
+
+
+def test_every_study_has_a_section_and_every_figure_is_there(whole: tuple[str, Path]) -> None:
+    text, folder = whole
+    assert re.findall(r"^## \d+\. (\w+):", text, re.MULTILINE) == [s.name.capitalize() for s in REPORTED]
+    figures = re.findall(r"\]\((gallery/[^)]+)\)", text)
+    assert len(figures) == 3 + 3 + 1 + 1 + 1
+    assert all((folder / figure).exists() for figure in figures)
+    assert "missing in these results" not in text
+    assert NOT_YET not in text
+
+
+def test_the_report_begins_with_what_was_found_and_names_what_was_missed(tmp_path: Path) -> None:
+    bad = [Result(label("alone", seed=s), run(s, captures={3: 41.0 if s == 12 else 117.0})) for s in (11, 12, 13)]
+    mute = Result(label("teachers", "punishes only", 11), run(11, obedience={2: 0.3}))
+    document.write([*bad, mute], tmp_path / "REPORT.md")
+    short = (tmp_path / "REPORT.md").read_text(encoding="utf-8").partition("## In short")[2].partition("## 1.")[0]
+    assert "worst 34.2 % (seed 12). 1 of 6 phases alone below 90 %" in short
+    assert "Missed: captures alone, share of ideal, 1500–2000." in short
+    assert "below 80 %: punishes only 30.0 %; captures alone below 90 % of the ideal: none." in short
+    assert "**life**" not in short
+
+
+def test_statements_are_filled_from_what_was_measured(whole: tuple[str, Path]) -> None:
+    text, _ = whole
+    assert f"{len(STATEMENTS)} statements: " in text
+    assert "median 70 [70, 70] (3 seeds)" in text
+    assert "obedience mean 99.0 % [99.0 %, 99.0 %] (3 seeds)" in text
+
+
+def test_a_study_without_results_is_said_to_be_missing_by_its_command(tmp_path: Path) -> None:
+    document.write(results("alone", ["as shipped"]), tmp_path / "REPORT.md")
+    text = (tmp_path / "REPORT.md").read_text(encoding="utf-8")
+    for study in REPORTED:
+        assert (f"`mdb study {study.name}` is missing" in text) == (study.name != "alone")
+    assert text.count(NOT_YET) >= 10
+    assert "**Failures**: 0 of 6 phases alone" in text
+
+
+def test_the_same_results_make_the_same_report(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        document.write(results("alone", ["as shipped"]), tmp_path / name / "REPORT.md")
+    one, two = (tmp_path / name / "gallery" / "alone.png" for name in ("one", "two"))
+    assert one.read_bytes() == two.read_bytes()
+
+
+def test_bodies_are_told_apart_and_versions_of_the_code_are_named(tmp_path: Path) -> None:
+    found = results("alone", ["as shipped"])
+    found += [
+        Result(label("alone", seed=s, body="pybullet", code="d"), run(s, body=dict.fromkeys(range(4), "pybullet")))
+        for s in (11, 12)
+    ]
+    found.append(Result(label("alone", seed=14, code="other"), run(14)))
+    document.write(found, tmp_path / "REPORT.md")
+    text = (tmp_path / "REPORT.md").read_text(encoding="utf-8")
+    assert "### Body: pybullet" in text
+    assert "The ideal is that of the kinematic twin" in text
+    assert "code c, other" in text
+    assert "more than one version of the code" in text
+    assert (tmp_path / "gallery" / "alone-pybullet.png").exists()
+
+
+def test_a_long_life_names_the_seeds_that_failed(tmp_path: Path) -> None:
+    rows = (*run(7)[:3], phase(7, 3, captures=50.0))
+    text, figures = document.one(STUDIES["life"], [Result(label("life", seed=7), rows)], tmp_path)
+    assert "41.7 % (7)" in text
+    assert "1 of 2" in text
+    assert figures[0].exists()
+
+
+def test_every_study_has_variants_and_something_to_show() -> None:
+    assert set(SECTIONS) == set(STUDIES)
+    assert set(tables.VARIANTS) == {*STUDIES, "acceptance"}
+
+
+def test_files_that_the_statements_name_are_there() -> None:
+    table = statements_table({})
+    named = re.findall(r"`((?:services|sim)/[\w./]+\.(?:py|md))`", table)
+    assert len(named) > 15
+    for path in named:
+        assert (ROOT / path).exists(), path
