@@ -14,6 +14,8 @@ from mdb_services.mechanism.stm import MemoryConfig
 
 UNUSUAL = 2.5
 """An error speaks for a change when it is this many times the usual one, and `margin` more."""
+CHANGED = 0.75
+"""The mean error to be expected after a change, each error cut off: half way to it speaks for one in any case."""
 NOISE = 5.0
 """The threshold is so much higher, as a share of itself, for each unit of the usual error."""
 USUAL_PAIRS = 80
@@ -104,7 +106,8 @@ class ContextDetector:
         if self.known:
             if self.suspected is None:
                 self._before = self.usual
-            self._evidence = max(0.0, self._evidence + error - UNUSUAL * self._before - config.margin)
+            usual = min(UNUSUAL * self._before + config.margin, max((self._before + CHANGED) / 2, self._before))
+            self._evidence = max(0.0, self._evidence + error - usual)
             if self._evidence == 0:
                 self.suspected = None
             elif self.suspected is None:
