@@ -176,6 +176,9 @@ class Optimizer:
 
     def _judge(self, feedback: messages.Feedback) -> None:
         """Keep feedback for the iteration it names, unless that is long over, or was never."""
+        if feedback.iteration is None:
+            self._teachers.judge(feedback)
+            return
         over = feedback.iteration < self._next - self._settings.feedback_window
         if over or self._is_far(feedback.iteration):
             self._refuse(keys.FEEDBACK, f"feedback of {feedback.teacher}", feedback.iteration)
