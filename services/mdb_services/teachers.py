@@ -56,7 +56,11 @@ class Teachers:
                 self._nameless.add(feedback.teacher)
             return
         self._nameless.discard(feedback.teacher)
-        said = self._feedback.setdefault(feedback.iteration, {})
+        self.credit(feedback.iteration, feedback)
+
+    def credit(self, iteration: int, feedback: messages.Feedback) -> None:
+        """Keep a teacher's first feedback for an iteration that he has named, or is thought to mean."""
+        said = self._feedback.setdefault(iteration, {})
         if said.get(feedback.teacher) is None and (feedback.teacher in said or len(said) < KEPT_TEACHERS):
             said[feedback.teacher] = feedback.value
         _bound(self._feedback)
