@@ -12,7 +12,7 @@ import numpy as np
 
 from mdb_protocol import messages
 from mdb_services.config import BrainConfig
-from mdb_services.mechanism.credit import Credit, Fit
+from mdb_services.mechanism.credit import Credit
 from mdb_services.mechanism.encoding import Codebook, gather
 from mdb_services.mechanism.network import Floats
 from mdb_services.teachers import KEPT_TEACHERS
@@ -66,8 +66,7 @@ class Unnamed:
     def _credit_of(self, teacher: str) -> Credit:
         if teacher not in self._credits:
             newest = next(reversed(self._credits.values()), None)
-            nothing = Credit(Fit.nothing(self._lags, [book.width for book in self._books]))
-            self._credits[teacher] = newest.another() if newest else nothing
+            self._credits[teacher] = Credit(self._lags, [book.width for book in self._books], newest)
             if len(self._credits) > KEPT_TEACHERS:
                 del self._credits[next(iter(self._credits))]
         return self._credits[teacher]
@@ -77,7 +76,7 @@ class Unnamed:
 
     def values(self) -> dict[str, float]:
         """How many iterations late each teacher is, where it is known."""
-        return {f"late.{name}": float(credit.lag) for name, credit in self._credits.items() if credit.lag is not None}
+        return {f"late.{name}": credit.lag for name, credit in self._credits.items() if credit.believed is not None}
 
 
 def _row(book: Codebook, rows: Floats | None) -> Floats:
