@@ -75,8 +75,10 @@ class Unnamed:
         return self._rows.get(iteration) or [_row(book, None) for book in self._books]
 
     def values(self) -> dict[str, float]:
-        """How many iterations late each teacher is, where it is known."""
-        return {f"late.{name}": credit.lag for name, credit in self._credits.items() if credit.believed is not None}
+        """How many iterations late each teacher is, at the least and at the most, where it is known."""
+        known = {name: credit.window for name, credit in self._credits.items() if credit.window is not None}
+        least = {f"late_least.{name}": float(window[0]) for name, window in known.items()}
+        return least | {f"late_most.{name}": float(window[1]) for name, window in known.items()}
 
 
 def _row(book: Codebook, rows: Floats | None) -> Floats:

@@ -52,7 +52,7 @@ class Lesson:
                 self.credit.hear(now, rows, self.deserved[iteration])
             for iteration, value in self.credit.due(now, PATIENCE):
                 self.given.setdefault(iteration, value)
-            if self.credit.believed is not None and self.known_at is None:
+            if self.credit.window is not None and self.known_at is None:
                 self.known_at = now
 
     def wrong(self, since: int = 0) -> float:
@@ -65,7 +65,7 @@ class Lesson:
 def test_however_late_a_teacher_is_his_feedback_finds_its_actions(lag: int, seed: int) -> None:
     lesson = Lesson(seed)
     lesson.go_on(120, lag)
-    assert lesson.credit.lag == lag
+    assert lesson.credit.window == (lag, lag)
     assert lesson.wrong() == 0.0
     assert len(lesson.given) == 120 - lag, "that which waited, too"
     assert lesson.known_at is not None
@@ -78,7 +78,7 @@ def test_feedback_that_is_always_the_same_is_credited_when_the_patience_is_over_
     assert lesson.given == {}
     lesson.go_on(2, 0, obedient=True)
     assert list(lesson.given) == [0, 1]
-    assert lesson.credit.believed is None
+    assert lesson.credit.window is None
 
 
 def test_a_lag_that_is_known_stays_known_while_nothing_tells_it_from_others() -> None:
@@ -86,7 +86,7 @@ def test_a_lag_that_is_known_stays_known_while_nothing_tells_it_from_others() ->
     lesson.go_on(100, 3)
     lesson.go_on(3 * KEPT, 3, obedient=True)
     lesson.go_on(50, 3)
-    assert lesson.credit.lag == 3
+    assert lesson.credit.window == (3, 3)
     assert lesson.wrong() == 0.0
 
 
@@ -94,7 +94,7 @@ def test_a_teacher_who_becomes_slower_is_found_out() -> None:
     lesson = Lesson(1)
     lesson.go_on(100, 1)
     lesson.go_on(160, 4)
-    assert lesson.credit.lag == 4
+    assert lesson.credit.window == (4, 4)
     assert lesson.wrong(since=220) == 0.0
 
 
@@ -106,15 +106,15 @@ def test_another_teacher_is_taken_for_as_late_as_the_one_before_until_he_shows_o
     assert (same.known_at, same.wrong(), len(same.given)) == (1, 0.0, 58)
     other = Lesson(2, one.credit)
     other.go_on(120, 5)
-    assert other.credit.lag == 5
+    assert other.credit.window == (5, 5)
     assert other.wrong(since=60) == 0.0
-    assert one.credit.lag == 2
+    assert one.credit.window == (2, 2)
 
 
 def test_a_teacher_who_judges_seldom_is_understood_too() -> None:
     lesson = Lesson(1)
     lesson.go_on(300, 3, judged=0.3)
-    assert lesson.credit.lag == 3
+    assert lesson.credit.window == (3, 3)
     assert lesson.wrong(since=150) == 0.0
 
 
@@ -126,7 +126,7 @@ def test_without_rows_nothing_is_told_apart_and_nothing_breaks() -> None:
             credit.hear(now, rows, 1.0 if now % 2 else -1.0)
             for iteration, _ in credit.due(now, 10):
                 assert iteration == next(iterations) - 1
-        assert credit.believed is None
+        assert credit.window is None
 
 
 def test_the_same_feedback_gives_the_same_credit() -> None:

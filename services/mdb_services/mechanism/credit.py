@@ -7,8 +7,10 @@ with the pairs that it is for if the hypothesis holds, foresees from what simila
 is believed the more the better it foresees: a right one puts like to like, a wrong one mixes up what belongs to
 different actions.
 
-Feedback waits until a hypothesis is believed, or until its patience is over. Another teacher is taken for as late as
-the one before, until his own feedback clearly says otherwise.
+Possible are the lags of all hypotheses that are not clearly worse than the best. An action is judged when all has
+come that may be for it, with feedback of which more than half is for it (`sharing`), or with none. While all lags are
+possible, or more than one and little feedback has come, it waits as long as its patience.
+Another teacher is taken for as late as the one before, until his own feedback clearly says otherwise.
 
 Pure. Pairs are rows of numbers, one row for each model that learns feedback; what they mean is not known here.
 """
@@ -22,9 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_services.mechanism.network import Floats
-
-Values = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from mdb_services.mechanism.sharing import Ints, Values, share
 
 SPREADS = 1, 2, 3, 5
 """Over so many lags that follow one another feedback may be spread."""
@@ -40,6 +40,12 @@ CUT = 1.0
 """Squared errors beyond this count as this: a teacher may err."""
 MARGIN = 4.0
 """By how much the logarithm of a likelihood must be above others to be believed, or to take another's place."""
+FEW = 60
+"""Less feedback than this cannot be shared out among several actions with confidence."""
+ENOUGH = 0.5
+"""An action gets the feedback of which more than this is for it."""
+SAME = 0.25
+"""Feedback that differs less is the same, where it is asked how much is for an action."""
 
 
 class Lags(NamedTuple):
@@ -74,34 +80,36 @@ class Credit:
 
         lags: 0 to one less are told apart; widths: columns of each model's rows.
         """
-        self._lags = Lags.up_to(lags)
+        self._lags, self._count = Lags.up_to(lags), lags
         count = len(self._lags.first)
-        self.believed: int | None = None
-        """The hypothesis that holds; None: not known yet."""
+        self.window: tuple[int, int] | None = None
+        """The least and the greatest lag that are possible; None: all are."""
         self._evidence = np.zeros(count)
+        self._came = np.zeros(0, np.int64)
+        """(n,): before which action the kept feedback came."""
         self._values = np.zeros(0)
         self._places = np.zeros((count, 0), np.int64)
-        """(hypotheses, n): the iterations that the kept feedback is for."""
+        """(hypotheses, n): the iterations that it is for."""
         self._rows = [np.zeros((count, 0, width), np.float32) for width in widths]
         """For each model (hypotheses, n, w): the rows of these."""
-        self._waiting: list[tuple[int, float, Ints]] = []
-        """What is not credited yet: when it came, what it is, and the iterations (hypotheses,) that it is for."""
+        self._pairs: dict[int, list[Floats]] = {}
+        """For each iteration that kept feedback may be for what each model reads of it, (w,)."""
+        self._next = 0
+        """The first iteration that it is not decided about."""
+        self._others = 0
+        """Kept feedback of the teachers before him, the oldest; ..."""
+        self._alone = False
+        """... whether they have turned out to be late in another way, and share nothing with him."""
         if before is not None:
-            best = before.best
-            self.believed = best
-            self._values = before._values
-            self._places = np.repeat(before._places[best : best + 1], count, axis=0)
-            self._rows = [np.repeat(rows[best : best + 1], count, axis=0) for rows in before._rows]
+            self._begin_like(before)
 
-    @property
-    def best(self) -> int:
-        """The hypothesis that holds, or that fits best so far."""
-        return int(np.argmax(self._evidence)) if self.believed is None else self.believed
-
-    @property
-    def lag(self) -> float:
-        """How late he is by that, in iterations."""
-        return float(self._lags.first[self.best] + self._lags.last[self.best]) / 2.0
+    def _begin_like(self, before: Credit) -> None:
+        best, count = int(np.argmax(before._evidence)), len(self._evidence)
+        self.window = before.window
+        self._came, self._values, self._pairs = before._came, before._values, dict(before._pairs)
+        self._others = len(self._values)
+        self._places = np.repeat(before._places[best : best + 1], count, axis=0)
+        self._rows = [np.repeat(rows[best : best + 1], count, axis=0) for rows in before._rows]
 
     def hear(self, now: int, rows: Sequence[Floats], value: float) -> None:
         """Take feedback that came before the action of iteration `now`.
@@ -117,12 +125,16 @@ class Credit:
         taken = (self._places[lags.hypothesis] == places[:, None]).any(axis=1)
         cases = np.split(np.where(taken, -np.inf, fits), lags.begin[1:])
         chosen = lags.begin + np.array([np.argmax(case) for case in cases])
-        self._keep(value, places[chosen], [new[lags.lag[chosen]] for new in rows])
-        self._waiting.append((now, value, places[chosen]))
+        self._keep(now, value, places[chosen], [new[lags.lag[chosen]] for new in rows])
+        self._pairs |= {now - 1 - lag: [new[lag] for new in rows] for lag in range(self._count)}
+        oldest = int(self._came[0]) - self._count
+        self._pairs = {i: pair for i, pair in self._pairs.items() if i >= oldest}
         self._decide()
 
-    def _keep(self, value: float, places: Ints, rows: Sequence[Floats]) -> None:
+    def _keep(self, now: int, value: float, places: Ints, rows: Sequence[Floats]) -> None:
         """Keep feedback for the iterations (hypotheses,) with rows (hypotheses, w) for each model."""
+        self._others = max(0, self._others - (len(self._values) == KEPT))
+        self._came = np.append(self._came, now)[-KEPT:]
         self._values = np.append(self._values, value)[-KEPT:]
         self._places = np.hstack([self._places, places[:, None]])[:, -KEPT:]
         pairs = zip(self._rows, rows, strict=True)
@@ -137,25 +149,56 @@ class Credit:
         return fits
 
     def _decide(self) -> None:
-        """Believe in a hypothesis that is clearly better than all that have no lag in common with it.
+        """Take as possible the lags of all hypotheses that are not clearly worse than the best.
 
-        It stays until another one is clearly better.
+        These grow fewer and stay, though nothing new may tell them from others, until one without is clearly better.
         """
-        lags, best = self._lags, int(np.argmax(self._evidence))
-        apart = (lags.last < lags.first[best]) | (lags.first > lags.last[best])
-        rivals = apart if self.believed is None else np.arange(len(apart)) == self.believed
-        if self._evidence[best] - self._evidence[rivals].max(initial=-np.inf) > MARGIN:
-            self.believed = best
+        lags, evidence = self._lags, self._evidence
+        best = evidence.max()
+        good = evidence >= best - MARGIN
+        first, last = int(lags.first[good].min()), int(lags.last[good].max())
+        if self.window is None:
+            self.window = (first, last) if last - first + 1 < self._count else None
+            return
+        within = (lags.first >= self.window[0]) & (lags.last <= self.window[1])
+        if best - evidence[within].max() > MARGIN:
+            self.window, self._alone = (first, last), True
+        elif first >= self.window[0] and last <= self.window[1]:
+            self.window = first, last
 
     def due(self, now: int, patience: int) -> list[tuple[int, float]]:
-        """Return iterations with the feedback that is credited to them now, the oldest first.
+        """Return iterations with the feedback that is credited to them now, in order, each once at the most."""
+        first, last, end = 0, self._count - 1, now - patience
+        if self.window is not None:
+            first, last = self.window
+            end = now - (last if first == last or len(self._values) >= FEW else patience)
+        begin, self._next = self._next, max(self._next, end)
+        if not len(self._came) or self._came[-1] - 1 - first < begin or begin >= end:
+            return []
+        places = self._came[:, None] - 1 - np.arange(first, last + 1)
+        his = (np.arange(len(places)) >= self._others)[:, None] & (places >= begin) & (places < end)
+        if not his.any():
+            return []
+        shares = self._shares(places) if last > first else np.ones(places.shape)
+        wanted = np.unique(places[his]).tolist()
+        return [(i, value) for i in wanted if (value := self._enough(his & (places == i), shares)) is not None]
 
-        All that waits once a hypothesis is believed; before, what has waited for `patience` iterations.
-        """
-        late = [self.believed is not None or now - came >= patience for came, _, _ in self._waiting]
-        due = self._waiting[: sum(late)]
-        self._waiting = self._waiting[sum(late) :]
-        return [(int(places[self.best]), value) for _, value, places in due if places[self.best] >= 0]
+    def _shares(self, places: Ints) -> Values:
+        """Return the shares of the kept feedback in the iterations that it may be for (n, lags)."""
+        iterations = np.array(sorted(self._pairs))
+        rows = [np.stack([self._pairs[i][model] for i in iterations.tolist()]) for model in range(len(self._rows))]
+        known = (places >= 0) & np.isin(places, iterations)
+        if self._alone:
+            known[: self._others] = False
+        candidates = np.where(known, np.searchsorted(iterations, places), 0)
+        return share(rows, candidates, known, self._values)
+
+    def _enough(self, here: NDArray[np.bool_], shares: Values) -> float | None:
+        """Return the feedback of which enough is for one iteration, that of the cases `here` (n, lags)."""
+        values, parts = self._values[np.nonzero(here)[0]], shares[here]
+        alike = (np.abs(values[:, None] - values) <= SAME) @ parts
+        most = int(np.argmax(alike))
+        return float(values[most]) if alike[most] > ENOUGH else None
 
 
 def _foreseen(kept: Floats, values: Values, rows: Floats) -> Values:
