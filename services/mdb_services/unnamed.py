@@ -53,12 +53,9 @@ class Unnamed:
         What comes in a heap, as after a network that was cut, is left out: nobody can tell what it is for.
         """
         said, self._said = self._said, {}
-        rows = [
-            np.stack(rows) for rows in zip(*(self._rows_of(now - 1 - lag) for lag in range(self._lags)), strict=True)
-        ]
         for teacher, values in said.items():
             for value in values if len(values) <= self._lags else []:
-                self._credit_of(teacher).hear(now, rows, value)
+                self._credit_of(teacher).hear(now, self._rows_before(now), value)
         for teacher, credit in self._credits.items():
             for iteration, value in credit.due(now, self._patience):
                 yield iteration, messages.Feedback(teacher=teacher, value=value)
@@ -71,8 +68,11 @@ class Unnamed:
                 del self._credits[next(iter(self._credits))]
         return self._credits[teacher]
 
-    def _rows_of(self, iteration: int) -> list[Floats]:
-        return self._rows.get(iteration) or [_row(book, None) for book in self._books]
+    def _rows_before(self, now: int) -> list[Floats]:
+        """Return for each model (lags, w): what it reads of the pairs before iteration `now`, the newest first."""
+        nothing = [_row(book, None) for book in self._books]
+        pairs = [self._rows.get(now - 1 - lag, nothing) for lag in range(self._lags)]
+        return [np.stack(rows) for rows in zip(*pairs, strict=True)]
 
     def values(self) -> dict[str, float]:
         """How many iterations late each teacher is, at the least and at the most, where it is known."""

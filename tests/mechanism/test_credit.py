@@ -118,6 +118,19 @@ def test_a_teacher_who_judges_seldom_is_understood_too() -> None:
     assert lesson.wrong(since=150) == 0.0
 
 
+def test_feedback_whose_delay_varies_is_credited_where_it_is_clear_what_it_is_for() -> None:
+    lesson = Lesson(1)
+    lesson.go_on(300, 3, spread=1)
+    assert lesson.credit.window is not None
+    assert lesson.credit.window[0] <= 2
+    assert lesson.credit.window[1] >= 4
+    assert lesson.wrong() < 0.15, "two of three lags differ from the middle one, and most other actions deserve else"
+    assert len(lesson.given) > 200
+    last = max(lesson.given)
+    lesson.go_on(100, 3, spread=1, obedient=True)
+    assert len([i for i in lesson.given if i > last]) > 90, "what is the same for all candidates is for any of them"
+
+
 def test_without_rows_nothing_is_told_apart_and_nothing_breaks() -> None:
     for widths in ([], [2]):
         credit, iterations = Credit(3, widths), count(1)
