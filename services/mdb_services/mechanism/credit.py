@@ -171,7 +171,8 @@ class Credit:
         first, last, end = 0, self._count - 1, now - patience
         if self.window is not None:
             first, last = self.window
-            end = now - (last if first == last or len(self._values) >= FEW else patience)
+            much = len(self._values) - (self._others if self._alone else 0) >= FEW
+            end = now - (last if first == last or much else patience)
         begin, self._next = self._next, max(self._next, end)
         if not len(self._came) or self._came[-1] - 1 - first < begin or begin >= end:
             return []
