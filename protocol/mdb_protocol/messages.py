@@ -172,10 +172,13 @@ class Command(Message, frozen=True, kw_only=True):
 
 
 class Feedback(Message, frozen=True, kw_only=True):
-    """Reward or punishment in [-1, 1] for the action taken at `iteration`; None: not now, perhaps later."""
+    """Reward or punishment in [-1, 1] for the action taken at `iteration`; None: not now, perhaps later.
+
+    Without an iteration it is for some action of late: the brain finds out how late this teacher is.
+    """
 
     teacher: Name
-    iteration: Iteration
+    iteration: Iteration | None = None
     value: Annotated[float, Meta(ge=-1, le=1)] | None
 
     def __post_init__(self) -> None:

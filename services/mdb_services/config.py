@@ -116,8 +116,10 @@ class OptimizerSection(Section, frozen=True, kw_only=True):
     command_patience_s: Seconds = 2.0
     """How long a teacher who is there may take for a command before the brain acts on its own."""
     feedback_patience_s: Seconds = 2.0
-    feedback_window: Annotated[int, Meta(ge=1, le=10_000)] = 20
-    """Feedback that comes so many iterations late is still credited to the iteration it names."""
+    feedback_window: Annotated[int, Meta(ge=1, le=10_000)] = 100
+    """Feedback that comes so many iterations late is still credited to the iteration it names, or that it is for."""
+    most_late: Annotated[int, Meta(ge=0, le=100)] = 6
+    """So many iterations late, at the most, is feedback that names no iteration, and less than the window."""
     word: Word = "first"
     """Of several teachers: "first", who comes first holds the word; "all", whoever speaks first each time."""
     lockstep_patience_s: Seconds = 60.0

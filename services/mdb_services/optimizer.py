@@ -29,6 +29,7 @@ from mdb_services.mechanism import streams
 from mdb_services.mechanism.choice import Choice, choose
 from mdb_services.mechanism.encoding import Codebook, gather
 from mdb_services.teachers import KEPT_AHEAD, Teachers
+from mdb_services.unnamed import Unnamed
 
 log = structlog.get_logger()
 
@@ -78,6 +79,7 @@ class Optimizer:
         self._next = 0
         self._elsewhere = Elsewhere()
         self._teachers = Teachers(config.optimizer.word)
+        self._unnamed = Unnamed(config)
         self._unjudged: dict[int, messages.Pair] = {}
         """The pairs within `feedback_window` that have no feedback yet."""
         self._stamp = 0.0
@@ -135,6 +137,8 @@ class Optimizer:
             if 0 <= action < self._settings.actions:
                 self._tried[note if note >= 0 else None][action] = iteration
         self._unjudged = {pair.iteration: pair for pair in progress.unjudged}
+        for pair in progress.unjudged:
+            self._unnamed.remember(pair)
         if progress.iteration:
             log.info("going on", iteration=progress.iteration)
         return True
@@ -175,7 +179,15 @@ class Optimizer:
             self._teachers.hear(command)
 
     def _judge(self, feedback: messages.Feedback) -> None:
-        """Keep feedback for the iteration it names, unless that is long over, or was never."""
+        """Keep feedback for the iteration it names, unless that is long over, or was never.
+
+        What names none waits for the next action: by then all has come that was said before it.
+        """
+        if feedback.iteration is None:
+            self._teachers.judge(feedback)
+            if self._cycle is not None:  # what was said before we began is for what we do not know of
+                self._unnamed.hear(feedback)
+            return
         over = feedback.iteration < self._next - self._settings.feedback_window
         if over or self._is_far(feedback.iteration):
             self._refuse(keys.FEEDBACK, f"feedback of {feedback.teacher}", feedback.iteration)
@@ -194,6 +206,8 @@ class Optimizer:
 
         Before an action and after its command, not when it comes: in lockstep that is the same moment every run.
         """
+        for iteration, feedback in self._unnamed.credited(self._next):
+            self._teachers.credit(iteration, feedback)
         for pair in list(self._unjudged.values()):
             value, judges = self._teachers.verdict(pair.iteration, pair.teacher)
             if value is not None:
@@ -404,6 +418,7 @@ class Optimizer:
         """Keep a pair as long as feedback may still come for it."""
         if pair.feedback is None:
             self._unjudged[pair.iteration] = pair
+        self._unnamed.remember(pair)
         oldest = self._next - self._settings.feedback_window
         self._unjudged = {i: kept for i, kept in self._unjudged.items() if i >= oldest}
         self._teachers.forget(before=self._next, feedback_before=oldest)
@@ -458,7 +473,7 @@ class Optimizer:
 
     def values(self) -> dict[str, float]:
         """Iteration, pairs without acknowledgement, whether acting waits for it, pairs lost, waits given up, versions
-        behind.
+        behind, how late teachers are who name no iteration.
         """
         gave_up = {f"gave_up.{what}": float(count) for what, count in self._gave_up.items()}
         waiting = float(len(self._unacknowledged))
@@ -466,7 +481,7 @@ class Optimizer:
         counts["waits_for_store"] = float(self._waits_for_store())
         have = self._models.versions
         behind = {f"behind.{name}": float(max(v - have.get(name, 0), 0)) for name, v in self._required.items()}
-        return counts | gave_up | behind
+        return counts | gave_up | behind | self._unnamed.values()
 
     def close(self) -> None:
         """Nothing to free."""

@@ -36,6 +36,8 @@ class Teachers:
         self._commands: dict[int, dict[str, messages.Command]] = {}
         self._feedback: dict[int, dict[str, float | None]] = {}
         self._seen: set[str] = set()
+        self._nameless: set[str] = set()
+        """Whose feedback names no iteration."""
 
     def hear(self, command: messages.Command) -> None:
         """Keep a teacher's first command for an iteration."""
@@ -45,8 +47,20 @@ class Teachers:
         _bound(self._commands)
 
     def judge(self, feedback: messages.Feedback) -> None:
-        """Keep a teacher's first feedback for an iteration; what he said instead of "not now" counts."""
-        said = self._feedback.setdefault(feedback.iteration, {})
+        """Keep a teacher's first feedback for an iteration; what he said instead of "not now" counts.
+
+        Of one who names no iteration only that is kept: he is not waited for, until he names one again.
+        """
+        if feedback.iteration is None:
+            if len(self._nameless) < KEPT_TEACHERS:
+                self._nameless.add(feedback.teacher)
+            return
+        self._nameless.discard(feedback.teacher)
+        self.credit(feedback.iteration, feedback)
+
+    def credit(self, iteration: int, feedback: messages.Feedback) -> None:
+        """Keep a teacher's first feedback for an iteration that he has named, or is thought to mean."""
+        said = self._feedback.setdefault(iteration, {})
         if said.get(feedback.teacher) is None and (feedback.teacher in said or len(said) < KEPT_TEACHERS):
             said[feedback.teacher] = feedback.value
         _bound(self._feedback)
@@ -90,7 +104,7 @@ class Teachers:
 
     def answered(self, iteration: int, teacher: str | None) -> bool:
         """Whether the teacher who commanded has said what he thinks of it, or that he will later."""
-        return teacher is None or teacher in self._feedback.get(iteration, {})
+        return teacher is None or teacher in self._nameless or teacher in self._feedback.get(iteration, {})
 
     def verdict(self, iteration: int, teacher: str | None) -> Verdict:
         """Return the feedback for an iteration in which `teacher` commanded (None: nobody).

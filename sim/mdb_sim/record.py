@@ -2,7 +2,9 @@
 
 Owns `RunRecord` and its reading; what is made of it is in `measures` and `figures`. It must not write, and
 must not use anything of a run but `run*.mcap` and `experiment.toml`. Of messages that came twice (a service
-sends again what was not acknowledged) the first counts.
+sends again what was not acknowledged) the first counts. Feedback may come after the report of its iteration, with the
+pair that is then sent again; the errors foreseen are then those of the models of that iteration, as if it had been in
+time.
 """
 
 from __future__ import annotations
@@ -15,10 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
-from mdb_protocol.messages import CurrentModel, IterationReport, Message, Phase, Placement, Scene, Timing
-from mdb_services.config import EXPERIMENT_FILE
+from mdb_protocol.messages import CurrentModel, IterationReport, Message, Pair, Phase, Placement, Scene, Timing
+from mdb_services.config import EXPERIMENT_FILE, BrainConfig
+from mdb_services.cycle import prequential
+from mdb_services.mechanism.encoding import Codebook
+from mdb_services.mechanism.network import Network
 from mdb_services.recorder import Recorded, read_log
 from mdb_sim.experiment import Experiment
 from mdb_sim.schedule import schedule_of
@@ -156,6 +162,8 @@ class _Found:
     phases: dict[int, Phase] = field(default_factory=dict)
     timings: dict[int, Timing] = field(default_factory=dict)
     models: dict[tuple[str, int], CurrentModel] = field(default_factory=dict)
+    judged: dict[int, Pair] = field(default_factory=dict)
+    """The pairs that have feedback."""
 
     def take(self, message: Message) -> None:
         match message:
@@ -169,6 +177,27 @@ class _Found:
                 self.timings.setdefault(message.iteration, message)
             case CurrentModel():
                 self.models.setdefault((message.model, message.version), message)
+            case Pair() if message.feedback is not None:
+                self.judged.setdefault(message.iteration, message)
+
+    def with_late_feedback(self, brain: BrainConfig) -> dict[int, IterationReport]:
+        """Return the reports with the feedback that came after them, and the errors that it shows."""
+        variables = brain.variables()
+        books = {model.name: Codebook(variables, model.inputs, model.outputs) for model in brain.model}
+        return {i: self._judged(report, books) for i, report in self.reports.items()}
+
+    def _judged(self, report: IterationReport, books: Mapping[str, Codebook]) -> IterationReport:
+        pair = self.judged.get(report.iteration)
+        if pair is None or report.feedback is not None:
+            return report
+        acted_upon = {name: self.models.get((name, version)) for name, version in report.versions.items()}
+        networks = {
+            name: (books[name], Network.from_arrays(model.layers, model.weights))
+            for name, model in acted_upon.items()
+            if model is not None and name in books
+        }
+        errors = report.prequential | prequential(networks, pair)
+        return structs.replace(report, feedback=pair.feedback, judges=pair.judges, prequential=errors)
 
     @property
     def iterations(self) -> int:
@@ -186,7 +215,7 @@ def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> Run
     found = _Found()
     for recorded in log:
         found.take(recorded.message)
-    reports, n = found.reports, found.iterations
+    reports, n = found.with_late_feedback(experiment.brain), found.iterations
     return RunRecord(
         run=run,
         experiment=experiment,

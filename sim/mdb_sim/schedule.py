@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -23,7 +23,50 @@ DRAWS = 1000
 """Languages drawn until one is unlike the others; for seven actions the second draw nearly always is."""
 
 
-class PhaseSection(Section, frozen=True, kw_only=True):
+class Habits(Section, frozen=True, kw_only=True):
+    """How a teacher errs, what of his judgement he says, and when. All of it can be combined, in this order."""
+
+    wrong_notes: Probability = 0.0
+    """How often the teacher plays another note than the one meant."""
+    wrong_feedback: Probability = 0.0
+    """How often the teacher rewards for punishing, and the other way round."""
+    relative: Annotated[int, Meta(ge=0, le=10_000)] = 0
+    """He compares with how well the robot does of late (COACH): feedback is the judgement less the mean of about so
+    many judgements before it, cut to [-1, 1]. 0: he does not compare."""
+    praise_half_life: Annotated[int, Meta(ge=1, le=1_000_000)] | None = None
+    """So many iterations after the phase began praise is worth half, then a quarter; punishment stays."""
+    says: Literal["all", "praise", "punishment"] = "all"
+    """"praise": he praises and says nothing instead of punishing; "punishment": the other way round."""
+    judged: Probability = 1.0
+    """How often the teacher judges at all; otherwise he says "not now"."""
+    delay: Annotated[int, Meta(ge=0, le=1000)] = 0
+    """So many iterations late comes the feedback, ..."""
+    delay_spread: Annotated[int, Meta(ge=0, le=1000)] = 0
+    """... or so many more or less, each equally often."""
+    named: bool = True
+    """Whether feedback says which iteration it is for."""
+
+    def __post_init__(self) -> None:
+        if self.delay_spread > self.delay:
+            raise ValueError(
+                f"delay_spread is {self.delay_spread} and delay {self.delay}; expected at most the delay: feedback "
+                "cannot come before its action"
+            )
+
+    def said(self, value: float, usual: float, age: int) -> float | None:
+        """Return what is said of a judgement in [-1, 1]; None: nothing.
+
+        usual: the mean of the judgements of late; age: iterations since the phase began.
+        """
+        if self.relative:
+            value = min(1.0, max(-1.0, value - usual))
+        if self.praise_half_life is not None and value > 0.0:
+            value *= 0.5 ** (age / self.praise_half_life)
+        silent = value > 0.0 if self.says == "punishment" else value < 0.0 and self.says == "praise"
+        return None if silent else value
+
+
+class PhaseSection(Habits, frozen=True, kw_only=True):
     """`[[teacher.phase]]`: from iteration `start` on; without a teacher the robot is alone."""
 
     start: Annotated[int, Meta(ge=0)]
@@ -31,12 +74,6 @@ class PhaseSection(Section, frozen=True, kw_only=True):
     teacher: Name | None = None
     language: str | None = None
     """"random", or any language of `teacher.make_language`; the same teacher keeps it in later phases."""
-    wrong_notes: Probability = 0.0
-    """How often the teacher plays another note than the one meant."""
-    wrong_feedback: Probability = 0.0
-    """How often the teacher rewards for punishing, and the other way round."""
-    delay: Annotated[int, Meta(ge=0, le=1000)] = 0
-    """So many iterations late comes the feedback."""
 
 
 class TeacherSection(Section, frozen=True, kw_only=True):
@@ -56,9 +93,7 @@ class Phase:
     name: str
     teacher: str | None
     language: Language | None
-    wrong_notes: float = 0.0
-    wrong_feedback: float = 0.0
-    delay: int = 0
+    habits: Habits
 
 
 @dataclass(frozen=True)
@@ -85,16 +120,31 @@ class Schedule:
             return None
         note = phase.language.note(self.wanted(placement))
         rng = streams.generator(self.seed, "teacher/note", iteration)
-        if rng.random() < phase.wrong_notes:
+        if rng.random() < phase.habits.wrong_notes:
             others = [other for other in phase.language.notes if other != note]
             note = int(rng.choice(others))
         return note
 
-    def judge(self, iteration: int, placement: Placement, action: int) -> float:
-        """Return the feedback for an action done in an iteration that began here."""
+    def judgement(self, iteration: int, placement: Placement, action: int) -> float:
+        """Return how good an action is, in an iteration that began here, as the teacher sees it: he may err."""
         value = FEEDBACKS[self.feedback](self.wanted(placement), action, self.turns_rad)
         mistaken = streams.generator(self.seed, "teacher/feedback", iteration).random()
-        return -value if mistaken < self.at(iteration).wrong_feedback else value
+        return -value if mistaken < self.at(iteration).habits.wrong_feedback else value
+
+    def said(self, iteration: int, judgement: float, usual: float = 0.0) -> float | None:
+        """Return the feedback for a judgement; None: nothing is said. usual: the mean of the judgements of late."""
+        phase = self.at(iteration)
+        if streams.generator(self.seed, "teacher/judged", iteration).random() >= phase.habits.judged:
+            return None
+        return phase.habits.said(judgement, usual, iteration - phase.start)
+
+    def delay(self, iteration: int) -> int:
+        """Return how many iterations late the feedback for an iteration comes."""
+        habits = self.at(iteration).habits
+        if not habits.delay_spread:
+            return habits.delay
+        rng = streams.generator(self.seed, "teacher/delay", iteration)
+        return habits.delay + int(rng.integers(-habits.delay_spread, habits.delay_spread + 1))
 
 
 def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Schedule:
@@ -113,8 +163,7 @@ def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Sched
         if phase.teacher is not None and phase.teacher not in languages:
             raise TeacherError(f"phase {phase.name!r}: teacher {phase.teacher!r} needs a language")
         language = languages[phase.teacher] if phase.teacher else None
-        mistakes = phase.wrong_notes, phase.wrong_feedback, phase.delay
-        phases.append(Phase(phase.start, phase.name, phase.teacher, language, *mistakes))
+        phases.append(Phase(phase.start, phase.name, phase.teacher, language, phase))
     return Schedule(tuple(phases), world.turns_rad, section.feedback, seed)
 
 

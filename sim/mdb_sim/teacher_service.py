@@ -1,14 +1,15 @@
 """The scripted teacher as a service: sees the scene, plays the note of its language, rewards obedience.
 
-Owns the phases of the experiment: who teaches when. Never reads the brain's inside. It keeps nothing
-between scenes but the feedback of a teacher who is late, so a restarted teacher goes on where the old one was.
+Owns the phases of the experiment: who teaches when. Never reads the brain's inside. It keeps two things between
+scenes, which a restarted teacher begins anew: the feedback that a late teacher owes is lost, and one who compares has
+no opinion yet of how well the robot does. A teacher who names no iteration does not judge the scene that a restarted
+one finds: it may have been said, and twice said it would be for another action.
 """
 
 from __future__ import annotations
 
-from collections import deque
-
-import msgspec
+from bisect import insort
+from operator import itemgetter
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus, Publisher
@@ -37,8 +38,10 @@ class ScriptedTeacher:
         self._silent: Publisher = bus.publisher(keys.COMMAND, teacher=self.instance)
         self._phases = bus.publisher(keys.PHASE)
         self._phase: Phase | None = None
-        self._owed: deque[tuple[int, messages.Feedback]] = deque()
-        """Feedback of teachers who are late, with the iteration in which it is due."""
+        self._owed: list[tuple[int, messages.Feedback]] = []
+        """Feedback of teachers who are late, with the iteration in which it is due, in that order."""
+        self._usual: dict[str, float] = {}
+        """The mean of each teacher's judgements of late, for those who compare."""
         self._iteration = -1
         self._rewards = 0
         self._scenes = bus.subscriber(keys.SCENE)
@@ -54,24 +57,35 @@ class ScriptedTeacher:
         return True
 
     def _judge(self, scene: messages.Scene) -> None:
-        """Give the feedback that is due, and say "not now" where it comes later."""
+        """Give the feedback that is due, and say "not now" where it comes later, or not at all."""
         while self._owed and self._owed[0][0] <= scene.iteration:
-            self._reward(self._owed.popleft()[1])
-        if scene.action is None or scene.before is None:
-            return
-        phase = self._schedule.at(scene.iteration - 1)
-        if phase.teacher is None:
+            self._reward(self._owed.pop(0)[1])
+        iteration = scene.iteration - 1
+        phase = self._schedule.at(max(0, iteration))
+        if scene.action is None or scene.before is None or phase.teacher is None:
             return
         try:
-            value = self._schedule.judge(scene.iteration - 1, placement_of(scene.before), scene.action)
+            judgement = self._schedule.judgement(iteration, placement_of(scene.before), scene.action)
         except TeacherError as error:
             self.bus.refusals.add(keys.SCENE.path, str(error))
             return
-        message = messages.Feedback(teacher=phase.teacher, iteration=scene.iteration - 1, value=value)
-        if phase.delay:
-            self._owed.append((scene.iteration + phase.delay, message))
-            message = msgspec.structs.replace(message, value=None)
-        self._reward(message)
+        value = self._schedule.said(iteration, judgement, self._compare(phase, phase.teacher, judgement))
+        if not phase.habits.named and self._iteration < 0:
+            value = None
+        named = iteration if phase.habits.named else None
+        delay = self._schedule.delay(iteration)
+        if delay and value is not None:
+            owed = messages.Feedback(teacher=phase.teacher, iteration=named, value=value)
+            insort(self._owed, (scene.iteration + delay, owed), key=itemgetter(0))
+            value = None
+        self._reward(messages.Feedback(teacher=phase.teacher, iteration=named, value=value))
+
+    def _compare(self, phase: Phase, teacher: str, judgement: float) -> float:
+        """Return a teacher's mean judgement before this one, which from now on is in it; 0 if he does not compare."""
+        usual = self._usual.get(teacher, 0.0)
+        if phase.habits.relative:
+            self._usual[teacher] = usual + (judgement - usual) / phase.habits.relative
+        return usual
 
     def _reward(self, message: messages.Feedback) -> None:
         self._feedback[message.teacher].put(message)

@@ -158,7 +158,9 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
     messages.Action: ACTION_MESSAGES,
     messages.Command: st.builds(messages.Command, teacher=NAMES, iteration=COUNTS, note=NOTES),
-    messages.Feedback: st.builds(messages.Feedback, teacher=NAMES, iteration=COUNTS, value=st.none() | SHARES),
+    messages.Feedback: st.builds(
+        messages.Feedback, teacher=NAMES, iteration=st.none() | COUNTS, value=st.none() | SHARES
+    ),
     messages.AudioFrame: st.builds(
         messages.AudioFrame,
         teacher=NAMES,

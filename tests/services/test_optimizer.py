@@ -68,7 +68,7 @@ class Rig:
         message = messages.Command(teacher=teacher, iteration=iteration, note=note)
         self.say(keys.COMMAND, message, teacher=teacher)
 
-    def reward(self, iteration: int, value: float = 1.0, teacher: str = "anna") -> None:
+    def reward(self, iteration: int | None, value: float | None = 1.0, teacher: str = "anna") -> None:
         message = messages.Feedback(teacher=teacher, iteration=iteration, value=value)
         self.say(keys.FEEDBACK, message, teacher=teacher)
 
@@ -526,6 +526,69 @@ def test_feedback_for_what_is_long_over_is_counted_and_dropped() -> None:
     rig.reward(3)
     rig.sense(6)
     assert [judged(p) for p in rig.said(keys.PAIR)] == [(5, None, []), (3, 1.0, ["anna"])]
+
+
+AT_RANDOM: dict[str, Any] = {
+    "experiment": {"iterations": 1000},
+    "optimizer": OPTIMIZER | {"random_iterations": 1000},
+    "store": {"when_full": "act"},
+}
+
+
+def lessons(rig: Rig, first: int, count: int, lag: int) -> dict[int, float]:
+    """Teach with feedback that names no iteration; return what each action deserves."""
+    rng, deserved, actions = np.random.default_rng(first), {}, {}
+    for i in range(first, first + count):
+        rig.sense(i)
+        if i - 1 - lag in deserved:
+            rig.reward(None, deserved[i - 1 - lag])
+        rig.command(i, note := int(rng.integers(3)))
+        actions |= {action.iteration: action.action for action in rig.said(keys.ACTION)}
+        deserved[i] = (1.0, 0.0, -1.0)[(note + actions[i]) % 3]
+    return deserved
+
+
+def credited(rig: Rig) -> dict[int, float]:
+    pairs = rig.said(keys.PAIR)
+    assert len({pair.iteration for pair in pairs if pair.feedback is None}) > 0, "nobody waits for it"
+    return {pair.iteration: pair.feedback for pair in pairs if pair.feedback is not None}
+
+
+def test_feedback_that_names_no_iteration_is_credited_to_what_it_is_for_and_not_waited_for() -> None:
+    rig = Rig(config(**AT_RANDOM))
+    rig.reward(None, None)
+    deserved = lessons(rig, 0, 120, lag=2)
+    assert credited(rig) == {i: deserved[i] for i in range(117)}
+    assert rig.gave_up() == {}
+    values = rig.optimizer.values()
+    assert (values["late_least.anna"], values["late_most.anna"]) == (2.0, 2.0)
+
+
+def test_an_optimizer_that_was_started_again_finds_out_anew_how_late_feedback_is() -> None:
+    rig = Rig(config(**AT_RANDOM))
+    rig.reward(None, None)
+    lessons(rig, 0, 60, lag=1)
+    rig.said(keys.PAIR)
+    died(rig, iteration=60)
+    assert credited_nothing(rig), "what was said before is for nothing that is known of"
+    assert "late_most.anna" not in rig.optimizer.values()
+    deserved = lessons(rig, 60, 80, lag=1)
+    assert credited(rig) == {i: deserved[i] for i in range(60, 138)}
+
+
+def credited_nothing(rig: Rig) -> bool:
+    return all(pair.feedback is None for pair in rig.said(keys.PAIR))
+
+
+def test_feedback_without_names_that_comes_in_a_heap_is_for_nothing() -> None:
+    rig = Rig(config(**AT_RANDOM))
+    for i in range(200):
+        rig.sense(i)
+        for _ in range(30):
+            rig.reward(None, 1.0)
+        rig.command(i)
+    assert credited_nothing(rig)
+    assert rig.gave_up() == {}
 
 
 def test_the_report_says_who_was_heard_and_who_holds_the_word() -> None:

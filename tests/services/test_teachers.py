@@ -121,3 +121,16 @@ def test_a_flood_of_iterations_and_names_needs_bounded_memory() -> None:
     assert len(teachers._commands[0]) == len(teachers._feedback[0]) == KEPT_TEACHERS
     teachers.forget(before=5, feedback_before=2)
     assert (min(teachers._commands), min(teachers._feedback)) == (5, 2)
+
+
+def test_who_names_no_iteration_is_not_waited_for_until_he_names_one() -> None:
+    teachers = Teachers("first")
+    teachers.judge(Feedback(teacher="a", value=0.5))
+    assert teachers.answered(0, "a")
+    assert not teachers.answered(0, "b")
+    assert teachers.verdict(0, "a") == Verdict(None, [])
+    teachers.judge(Feedback(teacher="a", iteration=0, value=1.0))
+    assert not teachers.answered(1, "a")
+    for i in range(3 * KEPT_TEACHERS):
+        teachers.judge(Feedback(teacher=f"t{i}", value=None))
+    assert len(teachers._nameless) == KEPT_TEACHERS

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mdb_protocol import keys
 from mdb_protocol.errors import MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_protocol.messages import CurrentModel, IterationReport, Message, Phase, Placement, Scene, Timing
+from mdb_protocol.messages import CurrentModel, IterationReport, Message, Pair, Phase, Placement, Scene, Timing
 from mdb_services.config import read_file
 from mdb_services.mechanism.network import Network
 from mdb_services.recorder import Recorder
@@ -184,6 +185,26 @@ def test_captures_are_counted_by_phase_without_the_random_iterations(record: Run
     assert windows == [(20, 100), (100, 200), (200, 300), (300, 400)]
     assert [measures.captures(record, window) for window in windows] == [16, 20, 20, 20]
     assert record.captures[[0, 4, 5, 400]].tolist() == [0, 0, 1, 80]
+
+
+def test_feedback_that_came_after_the_report_counts_as_if_it_had_been_in_time(tmp_path: Path) -> None:
+    log = Log(tmp_path)
+    log.put(keys.CURRENT_MODEL, current_model(1, constant_network(0.25), 0.5), model="communication")
+    for i in range(4):
+        late = {"feedback": None, "prequential": {"object": 0.125}, "versions": {"communication": 1 if i else 0}}
+        log.put(keys.ITERATION, replace(report(i), **(late if i < 3 else {})))
+    for i, feedback in ((0, 1.0), (1, None), (1, -0.5), (1, 1.0), (3, -1.0)):
+        pair = Pair(iteration=i, before={}, note=1, action=2, after={}, feedback=feedback, versions={})
+        log.put(keys.PAIR, pair)
+    record = log.close()
+    assert record.feedback.tolist()[:2] == [1.0, -0.5]
+    assert math.isnan(record.feedback[2]), "it never came"
+    assert record.feedback[3] == report(3).feedback, "it was in time"
+    errors = measures.prequential_error(record)
+    assert np.isnan(errors[[0, 2]]).all(), "no model, no feedback"
+    assert errors[1] == pytest.approx(0.75**2)
+    assert errors[3] == report(3).prequential["communication"]
+    assert record.prequential["object"][:3].tolist() == [0.125] * 3
 
 
 def test_running_mean_begins_anew_with_each_teacher(record: RunRecord) -> None:

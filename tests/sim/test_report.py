@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from mdb_sim.report import document
+from mdb_sim.report.aims import aims_table
 from mdb_sim.report.measured import NOT_YET
 from mdb_sim.report.paper import STATEMENTS, statements_table
 from mdb_sim.report.sections import SECTIONS
@@ -58,6 +59,21 @@ def test_the_report_begins_with_what_was_found_and_names_what_was_missed(tmp_pat
     assert "Missed: captures alone, share of ideal, 1500–2000." in short
     assert "below 80 %: punishes only 30.0 %; captures alone below 90 % of the ideal: none." in short
     assert "**life**" not in short
+
+
+def test_aims_with_teachers_as_they_are_are_told_as_met_missed_or_not_measured() -> None:
+    bad = {seed: run(seed, obedience={0: 0.7, 2: 0.5}, captures={1: 116.0, 3: 104.0}) for seed in range(1, 7)}
+    late = {seed: run(seed, captures={0: 30.0, 2: 30.0}) for seed in range(1, 7)}
+    good = {seed: run(seed) for seed in range(1, 7)}
+    fading = "praise that fades (half in 100)"
+    table = aims_table(
+        {"perfect": good, "20 % wrong notes": bad, fading: bad, "late by 2": good, "late by 2, not named": late}
+    )
+    assert "| 20 % wrong notes: obedience ≥ 80 % | 60.0 % [60.0 %, 60.0 %] | **no** |" in table
+    assert "| 20 % wrong notes: captures alone ≥ 100 | 110 [110, 110] | yes |" in table
+    assert "| 20 % wrong feedback: obedience ≥ 80 % | not measured | **no** |" in table
+    assert f"| {fading}: obedience, both teachers not worse | 60.0 %" in table
+    assert "captures ≥ 90 % of named | 71.1 %: 73.2 [73.2, 73.2]; named 103 [103, 103] | **no** |" in table
 
 
 def test_statements_are_filled_from_what_was_measured(whole: tuple[str, Path]) -> None:

@@ -84,6 +84,11 @@ def test_phases_that_make_no_schedule_are_clear_errors(phases: list[dict[str, An
         {"phase": [{"start": 0}]},
         {"phase": [{"start": 0, "name": "a", "teacher": "a/b"}]},
         {"phases": []},
+        {"phase": [{"start": 0, "name": "a", "judged": 1.1}]},
+        {"phase": [{"start": 0, "name": "a", "praise_half_life": 0}]},
+        {"phase": [{"start": 0, "name": "a", "relative": -1}]},
+        {"phase": [{"start": 0, "name": "a", "says": "nothing"}]},
+        {"phase": [{"start": 0, "name": "a", "delay": 1, "delay_spread": 2}]},
     ],
 )
 def test_sections_of_another_form_are_refused(section: dict[str, Any]) -> None:

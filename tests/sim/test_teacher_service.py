@@ -151,6 +151,80 @@ def test_a_late_teacher_says_not_now_and_judges_so_many_iterations_later() -> No
     assert rig.teacher.values()["rewards"] == 3
 
 
+def given(rig: Rig, scenes: int) -> list[tuple[int | None, float | None]]:
+    for iteration in range(scenes):
+        rig.show(scene(iteration))
+    return [(f.iteration, f.value) for f in rig.said(keys.FEEDBACK)]
+
+
+def test_a_teacher_who_judges_some_actions_says_not_now_to_the_others() -> None:
+    said = given(Rig(only(judged=0.3)), 401)
+    assert [iteration for iteration, _ in said] == list(range(400))
+    assert {value for _, value in said} == {1.0, None}
+    assert sum(value is not None for _, value in said) / 400 == pytest.approx(0.3, abs=0.07)
+    late = given(Rig(only(judged=0.3, delay=2)), 401)
+    paid = [one for one in late if one[1] is not None]
+    assert paid == [one for one in said if one[1] is not None][: len(paid)]
+
+
+def test_praise_that_fades_is_worth_half_after_each_half_life_and_punishment_stays() -> None:
+    phases = [{"start": 0, "name": "alone"}, only(praise_half_life=10)[0] | {"start": 5}]
+    said = dict(given(Rig(phases), 27))
+    assert (said[5], said[15], said[25]) == (1.0, 0.5, 0.25)
+    rig = Rig(phases)
+    rig.show(scene(26, action=LARGE_LEFT))
+    assert rig.said(keys.FEEDBACK)[0].value == -1.0
+
+
+def test_a_teacher_who_compares_says_less_of_what_is_as_good_as_usual() -> None:
+    rig = Rig(only(relative=2))
+    assert [value for _, value in given(rig, 5)] == [1.0, 0.5, 0.25, 0.125]
+    rig.show(scene(5, action=LARGE_LEFT))
+    rig.show(scene(6))
+    assert [f.value for f in rig.said(keys.FEEDBACK)] == [-1.0, 1.0], "cut to the range"
+
+
+@pytest.mark.parametrize(("says", "expected"), [("praise", [1.0, None]), ("punishment", [None, -1.0])])
+def test_a_teacher_may_say_nothing_instead_of_punishing_or_praising(says: str, expected: list[float | None]) -> None:
+    rig = Rig(only(says=says))
+    rig.show(scene(1))
+    rig.show(scene(2, action=LARGE_LEFT))
+    assert [f.value for f in rig.said(keys.FEEDBACK)] == expected
+
+
+def test_delays_spread_over_a_range_and_nothing_is_lost() -> None:
+    rig, due = Rig(only(delay=2, delay_spread=1)), {}
+    for iteration in range(303):
+        rig.show(scene(iteration))
+        due |= {f.iteration: iteration - 1 - f.iteration for f in rig.said(keys.FEEDBACK) if f.value is not None}
+    lags = [due[iteration] for iteration in range(299)]
+    assert [lags.count(lag) / 299 for lag in (1, 2, 3)] == pytest.approx([1 / 3] * 3, abs=0.09)
+    assert set(lags) == {1, 2, 3}
+
+
+def test_a_teacher_who_names_no_iteration_says_only_what_and_never_the_same_twice() -> None:
+    rig = Rig(only(named=False, delay=1))
+    assert given(rig, 4) == [(None, None), (None, 1.0), (None, None), (None, 1.0), (None, None)]
+    rig.start()
+    rig.show(scene(4))
+    assert [(f.iteration, f.value) for f in rig.said(keys.FEEDBACK)] == [(None, None)]
+    at_once = Rig(only(named=False))
+    assert given(at_once, 3) == [(None, 1.0), (None, 1.0)]
+    at_once.start()
+    assert at_once.teacher.step() is True, "the last scene is there for late joiners"
+    assert [(f.iteration, f.value) for f in at_once.said(keys.FEEDBACK)] == [(None, None)]
+
+
+def test_all_habits_combine() -> None:
+    habits = {"judged": 0.5, "praise_half_life": 50, "relative": 5, "says": "praise", "delay": 3, "delay_spread": 2}
+    rig = Rig(only(**habits, named=False, wrong_notes=0.1, wrong_feedback=0.1))
+    said = given(rig, 300)
+    values = [value for _, value in said if value is not None]
+    assert {iteration for iteration, _ in said} == {None}
+    assert 0 < len(values) < 200
+    assert all(0.0 <= value <= 1.0 for value in values)
+
+
 def test_a_teacher_started_again_at_a_change_of_phase_lets_the_one_before_leave() -> None:
     """Else the brain would wait for him who holds the word and says nothing any more."""
     rig = Rig()

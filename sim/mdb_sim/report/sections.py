@@ -14,6 +14,7 @@ from pathlib import Path
 
 from mdb_sim.report import curves, drawings
 from mdb_sim.report.acceptance import criteria_table, error_without_obedience, failures, seeds_table
+from mdb_sim.report.aims import aims_table
 from mdb_sim.report.comings import comings_of, comings_table
 from mdb_sim.report.quantities import (
     SHARE,
@@ -131,6 +132,7 @@ def teachers(section: Section) -> str:
         "one. “knows the language” is a player that obeys each note as it sounds and does anything when alone: what "
         "wrong notes leave to be captured at all.",
         summary(main_quantities(section.runs), "teachers"),
+        aims_table(section.runs),
         _variants_figure(section, "Teachers as they are."),
         _failures(section.runs),
     )
