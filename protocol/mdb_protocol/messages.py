@@ -399,8 +399,9 @@ class CurrentModel(Message, frozen=True, kw_only=True):
         check_finite("error", self.error)
         if self.support is not None:
             check_array("support", self.support, "f", 2)
-            if self.support.shape[1] != self.layers[0]:
-                raise ValueError(f"support has {self.support.shape[1]} columns; the network has {self.layers[0]} inputs")
+            columns, inputs = self.support.shape[1], self.layers[0]
+            if columns != inputs:
+                raise ValueError(f"support has {columns} columns; the network has {inputs} inputs")
 
 
 class LongTermModel(Message, frozen=True, kw_only=True):

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -64,9 +65,9 @@ def other_experiment(path: Path, **sections: Any) -> Path:
         ],
         "mode": [
             {"name": "heard", "world": "ears", "satisfaction": "feedback", "aspiration": 0.5, "exploration": 0.2},
-            {"name": "alone", "world": "thing", "satisfaction": "next.distance", "aspiration": 0.5},
+            {"name": "alone", "world": "thing", "satisfaction": "next.distance", "aspiration": 0.5, "reach": 0.2},
         ],
-        "memory": {"distance": 1.0},
+        "memory": {"distance": 1.0, "outcome": 0.5},
         "robot": {"body": "kinematic", "world": {"turns_deg": [0, -20, 20]}},
     }
     path.write_text(tomli_w.dumps(content | sections), encoding="utf-8")
@@ -78,14 +79,18 @@ def other_experiment(path: Path, **sections: Any) -> Path:
 
 def test_variants_of_the_ablation_take_one_ingredient_away_each() -> None:
     fifo = [f"model.{name}.memory={{recency=1.0}}" for name in ("communication", "object", "induced")]
-    smaller = [f"model.{name}.capacity={n}" for name, n in (("communication", 20), ("object", 100), ("induced", 100))]
+    smaller = [f"model.{name}.capacity={n}" for name, n in (("communication", 50), ("object", 100), ("induced", 100))]
+    taught = 'name="taught", world="communication", satisfaction="feedback", aspiration=0.8, exploration=0.5'
+    induced = 'name="induced", world="object", satisfaction="induced", exploration=0.0'
     assert variants_of("ablation", Experiment.read(PAPER)) == {
         "as shipped": (),
         "promoters off": ("learner.name=ga",),
         "long-term memory off": ("long_term.capacity=0",),
         "no context detection": ("context.enabled=false",),
         "FIFO only": (*fifo, "context.enabled=false"),
-        "no aspiration": ("mode.taught.exploration=0",),
+        "punishments not kept": ("model.induced.memory.outcome=0",),
+        "no support": (f"mode=[{{{taught}, curiosity=0.5}}, {{{induced}, curiosity=0.0}}]",),
+        "no aspiration": ("mode.taught.exploration=0", "mode.taught.curiosity=0"),
         "scalar note": ("channels.note={low=0, high=6}",),
         "smaller memories": tuple(smaller),
     }
@@ -96,7 +101,8 @@ def test_variants_of_another_file_have_its_names_and_heed_settings_of_a_models_o
     assert overrides["promoters off"] == ("learner.name=ga", "model.thing.learner.name=ga")
     assert overrides["long-term memory off"] == ("model.ears.long_term.capacity=0", "long_term.capacity=0")
     assert overrides["no context detection"] == ("context.enabled=false",)
-    assert overrides["FIFO only"][0] == "model.ears.memory={recency=1.0, distance=0.0}"
+    assert overrides["FIFO only"][0] == "model.ears.memory={recency=1.0, distance=0.0, outcome=0.0}"
+    assert overrides["punishments not kept"] == ("memory.outcome=0",)
     assert overrides["no aspiration"] == ("mode.heard.exploration=0",)
     assert overrides["scalar note"] == ("channels.note={low=0, high=2}",)
     assert overrides["smaller memories"] == (
@@ -114,12 +120,20 @@ def test_every_variant_is_an_experiment_that_has_nothing_more_to_take_away(*, pa
         assert name in ("as shipped", "smaller memories") or not left[name], name
 
 
+def test_without_support_the_modes_are_as_they_were_but_for_their_reach(tmp_path: Path) -> None:
+    for path in (PAPER, other_experiment(tmp_path / "other.toml")):
+        before = Experiment.read(path).brain
+        after = Experiment.read(path, tables.without_support(before)).brain
+        assert [replace(mode, reach=None) for mode in before.modes()] == after.modes()
+
+
 def test_a_file_without_an_ingredient_has_no_such_variant(tmp_path: Path) -> None:
     path = other_experiment(tmp_path / "other.toml", channels=CONTENT["channels"] | {"note": {"high": 2.0}})
-    bare = ("memory={}", "context.enabled=false", "mode.heard.exploration=0")
+    believing = tables.without_support(Experiment.read(path).brain)
+    bare = (*believing, "memory={}", "context.enabled=false", "mode.heard.exploration=0")
     variants = tables.VARIANTS["ablation"](Experiment.read(path, bare))
     assert [variant.name for variant in variants if not variant.applies] == [
-        "no context detection", "FIFO only", "no aspiration", "scalar note",
+        "no context detection", "FIFO only", "punishments not kept", "no support", "no aspiration", "scalar note",
     ]  # fmt: skip
 
 
@@ -130,10 +144,13 @@ def test_the_paper_as_written_lacks_every_addition_and_each_comes_back_alone() -
     experiment = Experiment.read(PAPER, written)
     channels = experiment.brain.variables()
     assert [channels[name].encoding for name in ("note", "action", "turn")] == ["scalar"] * 3
+    assert [(mode.reach, mode.exploration, mode.curiosity) for mode in experiment.brain.mode] == [(None, 0, 0)] * 2
     assert not any(tables.VARIANTS["paper"](experiment)[0].overrides)
     assert [v.name for v in tables.VARIANTS["paper"](experiment) if not v.applies][:1] == [
         "written + notes without order"
     ]
+    of_paper = tables.VARIANTS["paper"](Experiment.read(PAPER))
+    assert [v.name for v in of_paper if not v.applies] == ["written + punishments kept"], "nothing without a distance"
     for name, away in tables.ADDITIONS:
         taken = away(Experiment.read(PAPER).brain)
         assert variants[f"shipped - {name}"] == taken

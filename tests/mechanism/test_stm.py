@@ -40,6 +40,14 @@ def by_id(memory: MemoryMirror) -> dict[int, tuple[list[float], list[float]]]:
     return {int(id): (i.tolist(), t.tolist()) for i, t, id in zip(*memory.arrays(), strict=True)}
 
 
+def judged(outcome: float, pairs: list[tuple[float, float]], capacity: int = 4) -> ShortTermMemory:
+    """A memory by distance alone of these inputs and targets, in this order; ids from 0 on."""
+    memory = ShortTermMemory(capacity, 1, 1, MemoryConfig(recency=0, distance=1, outcome=outcome))
+    for id, (row, target) in enumerate(pairs):
+        memory.insert(id, np.array([row]), np.array([target]), 0.0)
+    return memory
+
+
 class Story:
     """An owner that lives through random inserts and changes of context; what each changed, with its rows."""
 
@@ -197,6 +205,64 @@ def test_label_is_the_weighted_sum_of_scaled_terms() -> None:
     np.testing.assert_allclose(memory.labels(np.array([4.0, 2.0, 0.0])), expected)
 
 
+CONTRADICTION = [(0.0, 1.0), (0.0, -1.0), (0.5, 0.0), (1.0, 0.0)]
+"""The first two are alike in what was there and differ in what came of it."""
+
+
+def test_pairs_alike_in_inputs_and_unlike_in_outcome_both_stay_where_the_outcome_counts() -> None:
+    newcomer = np.array([0.9]), np.array([0.0])
+    change = judged(0.3, CONTRADICTION).insert(9, *newcomer, 0.0)
+    assert change is not None
+    assert change.evicted == (3,), "it is nearest to the newcomer, the contradicting ones are 1.1 apart"
+    change = judged(0.0, CONTRADICTION).insert(9, *newcomer, 0.0)
+    assert change is not None
+    assert change.evicted == (0,), "without, of a contradiction the older leaves"
+
+
+def test_the_outcome_counts_in_the_squared_distance() -> None:
+    memory = judged(0.3, [(0.0, 1.0), (0.0, -1.0), (3.0, 0.0)])
+    nearest = np.sqrt([0.3 * 4, 0.3 * 4, 9 + 0.3])
+    np.testing.assert_allclose(memory.labels(), nearest / nearest.max(), rtol=1e-6)
+
+
+def test_of_pairs_alike_in_both_the_older_leaves_also_where_the_outcome_counts() -> None:
+    change = judged(0.3, [(0.0, 1.0), (0.0, -1.0), (5.0, 0.0)], 3).insert(9, np.zeros(1), np.array([-1.0]), 0.0)
+    assert change is not None
+    assert change.evicted == (1,)
+
+
+@fixed
+@given(st.integers(2, 8), steps, st.integers(0, 1000))
+def test_an_outcome_that_counts_nothing_leaves_the_distances_to_the_inputs_alone(
+    capacity: int, kinds: list[tuple[int, int] | None], seed: int
+) -> None:
+    story = Story(capacity, seed, replace(MIXED, outcome=0.0))
+    for kind in kinds:
+        story.step(kind)
+        inputs, _, _ = story.memory.arrays()
+        gaps = np.square(inputs[:, None] - inputs[None]).sum(axis=2)
+        np.fill_diagonal(gaps, np.inf)
+        used = story.memory.slots
+        np.testing.assert_allclose(story.memory._distances[np.ix_(used, used)], gaps, rtol=1e-5)
+
+
+def test_a_restored_memory_measures_the_same_distances() -> None:
+    memory, other = judged(0.3, CONTRADICTION), judged(0.3, [(7.0, 7.0)])
+    other.restore(memory.state())
+    np.testing.assert_array_equal(other._distances, memory._distances)
+    np.testing.assert_array_equal(other.labels(), memory.labels())
+
+
+def test_another_setting_for_a_while_does_not_change_what_the_outcome_counts() -> None:
+    memory, straight = (judged(0.3, CONTRADICTION[:3]) for _ in range(2))
+    memory.configure(MemoryConfig())
+    for one in (memory, straight):
+        one.insert(3, np.array([0.0]), np.array([0.0]), 0.0)
+    memory.configure(straight.config)
+    np.testing.assert_array_equal(memory._distances, straight._distances)
+    assert put(memory, 9).evicted == put(straight, 9).evicted
+
+
 def test_temporal_setting_after_a_change_of_context() -> None:
     memory = filled(MemoryConfig(recency=0, distance=1), [[0.0], [5.0], [5.1]], 3)
     memory.configure(MemoryConfig())
@@ -279,12 +345,17 @@ def test_the_pairs_of_a_context_are_given_oldest_first() -> None:
         assert errors.tolist() == [errors_at_entry[pair] for pair in expected]
 
 
+@pytest.mark.parametrize("config", [MIXED, replace(MIXED, outcome=0.3)], ids=["inputs", "outcome"])
 @fixed
 @given(st.integers(1, 8), steps, steps, st.integers(0, 1000))
 def test_restored_memory_continues_identically(
-    capacity: int, before: list[tuple[int, int] | None], after: list[tuple[int, int] | None], seed: int
+    config: MemoryConfig,
+    capacity: int,
+    before: list[tuple[int, int] | None],
+    after: list[tuple[int, int] | None],
+    seed: int,
 ) -> None:
-    story, other = Story(capacity, seed), Story(capacity, seed + 1)
+    story, other = Story(capacity, seed, config), Story(capacity, seed + 1, config)
     for kind in before:
         story.step(kind)
     for kind in (None, None, (0, 3), None):  # a memory that held something else
@@ -303,7 +374,7 @@ def test_what_does_not_fit_is_refused() -> None:
     memory = filled(MemoryConfig(), [[0.0, 1.0]], 3)
     with pytest.raises(ValueError, match=r"input row have shape .*expected finite numbers of shape \(1, 2\)"):
         memory.insert(7, np.zeros(3), np.zeros(1), 0)
-    with pytest.raises(ValueError, match="target rows have shape"):
+    with pytest.raises(ValueError, match="target row have shape"):
         memory.insert(7, np.zeros(2), np.zeros(2), 0)
     with pytest.raises(ValueError, match="predict the pair first"):
         memory.insert(7, np.zeros(2), np.zeros(1), float("nan"))
@@ -347,6 +418,9 @@ def test_the_setting_can_be_changed_and_says_what_is_wrong() -> None:
         replace(MIXED, distance=-1.0)
     with pytest.raises(ValueError, match="expected none negative"):
         replace(MIXED, entry_error=float("inf"))
+    for bad in (-0.1, float("inf"), float("nan")):
+        with pytest.raises(ValueError, match=f"outcome is {bad}; expected 0, or a positive number"):
+            replace(MIXED, outcome=bad)
 
 
 def test_an_insert_takes_less_than_a_millisecond() -> None:

@@ -59,6 +59,20 @@ WEIGHTS = with_network(messages.ModelWeights)
 
 
 @st.composite
+def current_models(draw: st.DrawFn) -> messages.CurrentModel:
+    """A current model, with or without the inputs that support it."""
+    network = draw(networks())
+    return messages.CurrentModel(
+        model=draw(NAMES),
+        version=draw(COUNTS),
+        generation=draw(COUNTS),
+        error=draw(FLOATS),
+        support=draw(st.none() | st.integers(0, 5).flatmap(lambda n: floats((n, network["layers"][0])))),
+        **network,
+    )
+
+
+@st.composite
 def memories(draw: st.DrawFn, cls: type[Message], **fields: st.SearchStrategy[Any]) -> Message:
     """A message that holds pairs with their slots and rows, and other fields."""
     rows, inputs, outputs = draw(st.integers(0, 5)), draw(st.integers(1, 4)), draw(st.integers(1, 3))
@@ -202,9 +216,7 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         stored=st.none() | COUNTS,
         error=FLOATS,
     ),
-    messages.CurrentModel: with_network(
-        messages.CurrentModel, model=NAMES, version=COUNTS, generation=COUNTS, error=FLOATS
-    ),
+    messages.CurrentModel: current_models(),
     messages.LongTermModel: LONG_TERM,
     messages.LongTermFile: st.builds(messages.LongTermFile, models=st.lists(LONG_TERM, max_size=2)),
     messages.IterationReport: st.builds(

@@ -196,6 +196,7 @@ def test_unknown_fields_are_accepted_and_other_encodings_refused(cls: type[Messa
         (messages.Pair, lambda v: {"feedback": v}),
         (messages.CurrentModel, lambda v: {"error": v}),
         (messages.CurrentModel, lambda v: {"weights": array("<f8", [2], np.array([0, v]).tobytes())}),
+        (messages.CurrentModel, lambda v: {"support": array("<f8", [1, 1], np.array([v]).tobytes())}),
         (messages.MemoryChange, lambda v: {"inputs": array("<f8", [1, 1], np.array([v]).tobytes())}),
         (messages.MemoryChange, lambda v: {"targets": array("<f8", [1, 1], np.array([v]).tobytes())}),
         (messages.MemoryChange, lambda v: {"seeds": [weights_of(v)]}),
@@ -266,6 +267,23 @@ def test_rows_that_do_not_fit_each_other_are_refused() -> None:
     assert accepted(messages.LongTermModel, packed(messages.LongTermModel, layers=[2, 1])) is None
     seed = weights_of(0.0) | {"layers": [2, 1]}
     assert accepted(messages.MemoryChange, packed(messages.MemoryChange, seeds=[seed])) is None
+
+
+@pytest.mark.parametrize(
+    ("support", "said"),
+    [
+        (array("<f4", [2, 2], bytes(16)), "support has 2 columns; the network has 1 inputs"),
+        (array("<f4", [0, 0], b""), "support has 0 columns; the network has 1 inputs"),
+        (array("<f4", [1], bytes(4)), "support: got 1 dimensions of float32; expected 2"),
+        (array("<i8", [1, 1], bytes(8)), "support: got 2 dimensions of int64; expected 2 of kind 'f'"),
+    ],
+)
+def test_a_support_that_does_not_fit_its_network_is_refused_and_said(support: msgpack.ExtType, said: str) -> None:
+    cls = messages.CurrentModel
+    assert accepted(cls, packed(cls, support=array("<f4", [2, 1], bytes(8)))) is not None
+    assert accepted(cls, packed(cls, support=None)) is not None
+    with pytest.raises(DecodeError, match=said):
+        codec.decode(cls, packed(cls, support=support), codec.encoding_of(cls))
 
 
 @pytest.mark.parametrize("name", ["slots", "pairs", "freed", "evicted"])

@@ -142,6 +142,11 @@ def test_any_override_is_taken_or_a_config_error(path: str, value: str) -> None:
         ({k: v for k, v in CONTENT.items() if k != "optimizer"}, "optimizer"),
         (CONTENT | {"model": []}, "model"),
         (CONTENT | {"mode": []}, "mode"),
+        (modes(reach=0), "reach"),
+        (modes(reach=101), "reach"),
+        (modes(curiosity=-0.1), "curiosity"),
+        (modes(curiosity=11), "curiosity"),
+        (models(memory={"outcome": -1.0}), "outcome is -1.0; expected 0, or a positive number"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_a_config_error_that_says_where(changed: dict[str, Any], said: str) -> None:
@@ -170,6 +175,18 @@ def test_a_models_settings_go_before_the_files_defaults() -> None:
     assert (brain.evolution_of(first).generations, brain.evolution_of(second).generations) == (2, 2)
     assert (brain.memory_of(first).recency, brain.memory_of(first).distance) == (0.5, 2.0)
     assert (brain.memory_of(second).recency, brain.memory_of(second).distance) == (0.5, 0.0)
+
+
+def test_the_model_that_tells_a_modes_satisfaction_is_weighed_by_its_support_where_the_mode_has_reach() -> None:
+    def supported(*overrides: str) -> set[str]:
+        brain = brain_config(read_file(PAPER, overrides), PAPER)
+        return {model.name for model in brain.model if brain.is_supported(model.name)}
+
+    assert supported() == {"communication", "induced"}, (
+        "the object model's world is wide, and it tells no satisfaction"
+    )
+    without = 'mode=[{name="taught", world="communication", satisfaction="feedback"}]'
+    assert supported(without) == set()
 
 
 def test_a_models_context_and_long_term_memory_go_before_the_files() -> None:

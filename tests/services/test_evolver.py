@@ -12,10 +12,10 @@ from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import Raw
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import BrainConfig
+from mdb_services.config import BrainConfig, brain_config
 from mdb_services.evolver import Evolver
 from mdb_services.mechanism.network import Network
-from tests.services.small import BRAIN, LOCKSTEP, config, model
+from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, content, model
 
 NAME, CAPACITY, GENERATIONS = "object", 4, 2
 
@@ -131,6 +131,51 @@ def test_a_learner_whose_package_is_missing_is_a_config_error(monkeypatch: pytes
     monkeypatch.setitem(sys.modules, "cmaes", None)
     with pytest.raises(ConfigError, match=r"pip install .*\[learners\]"):
         Evolver(MemoryBus(Fabric(), BRAIN), config(learner={"name": "cma"}), NAME)
+
+
+def reaching(**sections: Any) -> BrainConfig:
+    """The brain whose model of these tests is weighed by its support: the mode that it tells the satisfaction of."""
+    alone = {"name": "alone", "world": NAME, "satisfaction": "next.distance", "reach": 0.3}
+    return brain_config(content(**sections) | {"mode": [CONTENT["mode"][0], alone]}, "small.toml")
+
+
+def check_support(rig: Rig, learnt: messages.CurrentModel) -> None:
+    assert learnt.support is not None
+    assert learnt.version == rig.version
+    values = [rig.rows[slot][1] for slot in sorted(rig.rows)]
+    np.testing.assert_array_equal(learnt.support, np.array([rig._inputs(value) for value in values], np.float32))
+
+
+def test_the_inputs_of_a_version_go_with_its_model_where_a_mode_has_reach() -> None:
+    rig = Rig(reaching())
+    for _ in range(CAPACITY + 2):
+        rig.insert()
+        (learnt,) = rig.settle()
+        check_support(rig, learnt)
+
+
+def test_without_reach_no_inputs_are_sent_nor_those_of_a_model_that_tells_no_satisfaction() -> None:
+    first = CONTENT["mode"][0] | {"reach": 0.3}
+    other = brain_config(content() | {"mode": [first, CONTENT["mode"][1]]}, "small.toml")
+    for settings in (config(), other):
+        rig = Rig(settings)
+        rig.insert()
+        (learnt,) = rig.settle()
+        assert learnt.support is None
+
+
+@pytest.mark.parametrize("pace", ["concurrent", "lockstep"])
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_restarted_evolver_tells_the_inputs_too(pace: str, *, kept: bool) -> None:
+    rig = Rig(reaching(experiment={"pace": pace}, evolver={"checkpoint_every": 5 if kept else 1000}))
+    taught(rig, 7)
+    assert (rig.checkpoint is not None) is kept
+    rig.evolver.bus.close()
+    rig.start()
+    check_support(rig, rig.settle()[-1])
+    rig.insert()
+    rig.steps.append(rig.last)
+    check_support(rig, rig.settle()[-1])
 
 
 def test_the_concurrent_pace_learns_the_newest_of_what_came_together() -> None:

@@ -8,11 +8,11 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import BrainConfig
+from mdb_services.config import BrainConfig, brain_config
 from mdb_services.elsewhere import BELIEVED_AFTER_S
 from mdb_services.optimizer import ENDING_S, UNSTORED, Optimizer
 from mdb_services.teachers import KEPT_AHEAD
-from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, perception
+from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, content, model, perception
 
 OPTIMIZER = CONTENT["optimizer"]
 PATIENCE_S, RESEND_S = 2.0, 0.5
@@ -289,6 +289,21 @@ def test_models_that_do_not_fit_are_refused_and_the_good_one_stays() -> None:
     rig.sense(0)
     rig.sense(1)
     assert [p.versions for p in rig.said(keys.PAIR)] == [{"object": 1}]
+
+
+def test_a_model_is_believed_as_far_as_the_support_that_came_with_it() -> None:
+    """All actions are promised 0.5, which is not enough; what nothing supports may be better, and is tried."""
+    seeking = CONTENT["mode"][0] | {"reach": 0.2, "aspiration": 0.8, "curiosity": 0.9}
+    settings = brain_config(content() | {"mode": [seeking]}, "small.toml")
+    places = np.array([[0, 1, 0, place] for place in (0, -1, 1)], np.float32)  # note 1, the ranks of the actions
+    for support, explores in ((places[:1], True), (places, False), (None, False)):
+        rig = Rig(settings)
+        current = msgspec.structs.replace(model("communication"), support=support)
+        rig.say(keys.CURRENT_MODEL, current, model="communication")
+        rig.sense(0)
+        rig.command(0, 1)
+        (action,) = rig.said(keys.ACTION)
+        assert (action.intention.explored, action.action != 0) == (explores, explores)
 
 
 def test_a_robot_that_senses_nothing_or_something_else_is_acted_upon_at_random() -> None:

@@ -35,16 +35,17 @@ class Mode:
     Satisfactions are in scaled units: -1 to 1 is the range of their channel. All of what follows is ours.
 
     A model is believed as far as its memory supports it. With `reach`, a predicted satisfaction counts by its support
-    `exp(-(d / reach)^2)`, where d is the distance from the model's inputs to the nearest pair that it was learnt from,
-    in scaled units: what nothing is known of promises 0, neither good nor bad. Without that, extrapolation decides
-    what a robot does alone, and a new teacher's notes mean what the old one's meant until each was tried.
+    `exp(-(d / reach)^2)`, where d is the distance from the model's inputs to the nearest pair that it was learnt
+    from, in scaled units: what nothing is known of promises 0, neither good nor bad. Without that, extrapolation
+    decides what a robot does alone, and a new teacher's notes mean what the old one's meant until each was tried.
 
     While the best promise is below `aspiration`, something else is tried: what may be better by `curiosity` times
     `sqrt(1 - support)`. A graded reward for one wrong action so tells about its neighbours. Where nothing may be
-    better, it is what was tried longest ago under this command, with probability `exploration`; with `reach`, once all
-    is supported, no more often than the model errs, for what is known and certain need not be tried again. What cannot
-    be foreseen is not aspired to: the aspiration is less by the root of the mean squared error beyond `GOOD_ERROR`
-    that the model has over its memory. So a teacher who errs is obeyed, and one who does not loses nothing.
+    better, it is what was tried longest ago under this command, with probability `exploration`; with `reach`, once
+    all is supported, no more often than the model errs, for what is known and certain need not be tried again. What
+    cannot be foreseen is not aspired to: the aspiration is less by the root of the mean squared error beyond
+    `GOOD_ERROR` that the model has over its memory. So a teacher who errs is obeyed, and one who does not loses
+    nothing.
     """
 
     name: str
@@ -82,7 +83,7 @@ Models = Mapping[str, Known]
 
 
 class Foreseen(NamedTuple):
-    """For each action (actions,): the satisfaction predicted, in scaled units, and how far it is supported, 0 to 1."""
+    """For each action (actions,): the satisfaction predicted, in scaled units, and its support, 0 to 1."""
 
     satisfaction: NDArray[np.float64]
     support: NDArray[np.float64]
@@ -127,7 +128,7 @@ def foresee(mode: Mode, models: Models, facts: Facts, actions: int) -> Foreseen 
 
 
 def supported(rows: Floats, support: Floats, reach: float) -> NDArray[np.float64]:
-    """Return how far pairs with inputs (n, inputs) support each row (rows, inputs): 1 at a pair, less beyond (rows,)."""
+    """Return how far pairs, inputs (n, inputs), support each row (m, inputs): 1 at a pair, less beyond (m,)."""
     nearest = [np.square(support - row).sum(axis=1).min(initial=np.inf) for row in rows]
     return np.exp(-np.array(nearest, dtype=np.float64) / reach**2)
 

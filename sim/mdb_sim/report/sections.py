@@ -116,8 +116,8 @@ def paper(section: Section) -> str:
     written = runs.get(tables.AS_WRITTEN)
     return _paragraphs(
         "“Written”: note and action each one number, the action in the paper's listing; memories first in first out; "
-        "no exploration by aspiration, no detector of changes, no long-term memory. Then each addition alone, and "
-        "everything without it.",
+        "models believed everywhere, no exploration by aspiration, no detector of changes, no long-term memory. Then "
+        "each addition alone, and everything without it.",
         summary(main_quantities(runs)),
         "As written: " + error_without_obedience(written) if written else "",
         _variants_figure(section, "What each addition brings, alone and all but it."),

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import msgspec
+
 from mdb_services.config import BrainConfig
 from mdb_services.mechanism.stm import MemoryConfig
 from mdb_sim.experiment import Experiment
@@ -73,10 +75,33 @@ def first_in_first_out(brain: BrainConfig) -> Overrides:
     return tuple(f"model.{model.name}.memory={{recency=1.0{others}}}" for model in labelled)
 
 
+def punishments_not_kept(brain: BrainConfig) -> Overrides:
+    """Return what makes pairs alike that began alike, however they ended: the older leaves."""
+    keeping = [model for model in brain.model if brain.memory_of(model).outcome > 0]
+    return _where({model.name: "outcome" in model.memory for model in keeping}, "memory.outcome=0")
+
+
+def without_support(brain: BrainConfig) -> Overrides:
+    """Return modes that believe a model wherever they ask it.
+
+    All modes, written anew: a setting cannot be taken back, and a great reach is not none, for what is supported
+    everywhere is hardly explored.
+    """
+    if all(mode.reach is None for mode in brain.mode):
+        return ()
+    plain = [msgspec.structs.asdict(mode) | {"reach": None} for mode in brain.mode]
+    entries = [{name: value for name, value in mode.items() if value is not None} for mode in plain]
+    texts = [", ".join(f"{name}={_toml(value)}" for name, value in mode.items()) for mode in entries]
+    return (f"mode=[{', '.join(f'{{{text}}}' for text in texts)}]",)
+
+
 def without_aspiration(brain: BrainConfig) -> Overrides:
-    """Return what takes away the exploration of a robot that is promised too little."""
-    exploring = [mode for mode in brain.mode if mode.aspiration is not None and mode.exploration > 0]
-    return tuple(f"mode.{mode.name}.exploration=0" for mode in exploring)
+    """Return what takes away the exploration of a robot that is promised too little, curiosity among it."""
+    aspiring = [mode for mode in brain.mode if mode.aspiration is not None]
+    exploring = [
+        (mode.name, name) for mode in aspiring for name in ("exploration", "curiosity") if getattr(mode, name)
+    ]
+    return tuple(f"mode.{mode}.{name}=0" for mode, name in exploring)
 
 
 def scalar_note(brain: BrainConfig) -> Overrides:
@@ -143,15 +168,20 @@ def phases(who: Sequence[str | None], iterations: int) -> Overrides:
 
 # ---- the tables ----
 
+PUNISHMENTS = "punishments kept"
+"""Part of the memory by relevance: alone it does nothing."""
 ADDITIONS: tuple[tuple[str, Callable[[BrainConfig], Overrides]], ...] = (
     ("notes without order", scalar_note),
     ("actions in the actuators' order", listed_actions),
     ("memory by relevance", first_in_first_out),
+    (PUNISHMENTS, punishments_not_kept),
     ("detector of changes", without_context),
+    ("support", without_support),
     ("aspiration", without_aspiration),
     ("long-term memory", without_long_term),
 )
-"""What we add to the paper as it is written, and what takes it away again."""
+"""What we add to the paper as it is written, and what takes it away again; in this order, for what takes support away
+writes all modes anew."""
 AS_WRITTEN = "paper as written"
 
 
@@ -170,7 +200,8 @@ def paper(experiment: Experiment) -> list[Variant]:
         return tuple(override for name, away in without.items() if name not in kept for override in away)
 
     found = [Variant(AS_SHIPPED), Variant(AS_WRITTEN, but(()))]
-    found += [Variant(f"written + {name}", but((name,)), applies=bool(away)) for name, away in without.items()]
+    alone = {name: bool(away) and name != PUNISHMENTS for name, away in without.items()}
+    found += [Variant(f"written + {name}", but((name,)), applies=applies) for name, applies in alone.items()]
     return found + [Variant(f"shipped - {name}", away, applies=bool(away)) for name, away in without.items()]
 
 
@@ -252,6 +283,8 @@ def ablation(experiment: Experiment) -> list[Variant]:
         "long-term memory off": without_long_term(brain),
         "no context detection": without_context(brain),
         "FIFO only": (*first_in_first_out(brain), *without_context(brain)),
+        "punishments not kept": punishments_not_kept(brain),
+        "no support": without_support(brain),
         "no aspiration": without_aspiration(brain),
         "scalar note": scalar_note(brain),
         "smaller memories": smaller_memories(brain),
