@@ -7,6 +7,7 @@ models are stored and recalled. Pure: the owner writes `Effects` to disk and pub
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import msgspec
@@ -23,6 +24,10 @@ from mdb_services.memory_file import Context, Effects, MemoryFile
 from mdb_services.snapshot import snapshot_of
 
 Rows = tuple[Floats, Floats]
+NOISY = 0.2
+"""The usual error at which unlike outcomes of like pairs are taken for a teacher's mistakes: then they do not make
+pairs unlike, and the older one leaves. Below it they count the more the smaller it is (ours)."""
+
 Kind = Literal["changed", "known", "stored", "recalled"]
 
 
@@ -108,7 +113,10 @@ class ModelMemory:
 
     @property
     def _setting(self) -> MemoryConfig:
-        return self._context.temporal if self._detector.changing else self._relevance
+        if self._detector.changing:
+            return self._context.temporal
+        told_apart = max(0.0, 1 - self._detector.usual / NOISY)
+        return replace(self._relevance, outcome=told_apart * self._relevance.outcome)
 
     def _rows(self, pair: messages.Pair) -> Rows | None:
         facts = gather(

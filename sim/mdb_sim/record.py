@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from mdb_protocol.messages import CurrentModel, IterationReport, Message, Pair, Phase, Placement, Scene, Timing
 from mdb_services.config import EXPERIMENT_FILE, BrainConfig
 from mdb_services.cycle import prequential
+from mdb_services.mechanism.choice import Known
 from mdb_services.mechanism.encoding import Codebook
 from mdb_services.mechanism.network import Network
 from mdb_services.recorder import Recorded, read_log
@@ -192,7 +193,7 @@ class _Found:
             return report
         acted_upon = {name: self.models.get((name, version)) for name, version in report.versions.items()}
         networks = {
-            name: (books[name], Network.from_arrays(model.layers, model.weights))
+            name: Known(books[name], Network.from_arrays(model.layers, model.weights))
             for name, model in acted_upon.items()
             if model is not None and name in books
         }

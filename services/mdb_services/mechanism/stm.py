@@ -160,15 +160,17 @@ class ShortTermMemory(MemoryMirror):
     def __init__(self, capacity: int, inputs: int, outputs: int, config: MemoryConfig) -> None:
         super().__init__(capacity, inputs, outputs)
         self.config = config
-        self._outcome = np.float32(config.outcome)
         self._orders = np.zeros(capacity, dtype=np.int64)
         self._entry_errors = np.zeros(capacity)
         self._distances = np.full((capacity, capacity), np.inf, dtype=np.float32)
+        """Squared, over the inputs, of the pairs in all slots; infinite where there is no other pair."""
+        self._outcomes = np.zeros((capacity, capacity) if config.outcome else (0, 0), dtype=np.float32)
+        """The same over the targets, where they may count."""
 
     def configure(self, config: MemoryConfig) -> None:
         """Change the label's weights, say to the temporal setting when the context has changed.
 
-        What the outcome counts in distances stays: they are measured when a pair enters.
+        The outcome can count less from now on, or again; if it did not at the beginning, it never does.
         """
         self.config = config
 
@@ -192,7 +194,7 @@ class ShortTermMemory(MemoryMirror):
         row = _rows(np.asarray(input_row)[None], (1, self._inputs.shape[1]), "input row")
         targets = _rows(np.asarray(target_row)[None], (1, self._targets.shape[1]), "target row")
         full = len(self) == self.capacity
-        slot = self._lowest(self._gaps(row[0], targets[0]), errors_now) if full else int(np.argmin(self._used))
+        slot = self._lowest(row[0], targets[0], errors_now) if full else int(np.argmin(self._used))
         evicted = (int(self._ids[slot]),) if full else ()
         change = Change(self.version + 1, (slot,), (id,), evicted)
         self._write(change, row, targets, error_at_entry)
@@ -238,13 +240,16 @@ class ShortTermMemory(MemoryMirror):
 
     def _measure(self, slot: int) -> None:
         """Write the distances of a slot's pair to all others."""
-        gaps = np.where(self._used, self._gaps_to_all(self._inputs[slot], self._targets[slot]), np.float32(np.inf))
+        gaps = np.where(self._used, _squared(self._inputs, self._inputs[slot]), np.float32(np.inf))
         gaps[slot] = np.inf
         self._distances[slot], self._distances[:, slot] = gaps, gaps
+        if self._outcomes.size:
+            apart = _squared(self._targets, self._targets[slot])
+            self._outcomes[slot], self._outcomes[:, slot] = apart, apart
 
     def labels(self, errors_now: NDArray[Any] | None = None) -> NDArray[np.float64]:
         """Return the label of each stored pair, in slot order."""
-        return self._labels(np.full(len(self), np.inf, dtype=np.float32), errors_now)
+        return self._labels(self._nearest(), errors_now)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all arrays from which `restore` continues identically."""
@@ -260,34 +265,36 @@ class ShortTermMemory(MemoryMirror):
         for slot in slots:
             self._measure(int(slot))
 
-    def _gaps_to_all(self, row: Floats, target: Floats) -> Floats:
-        """Return the squared distances (capacity,) of a pair to what is in each slot."""
-        difference = self._inputs - row
-        squared: Floats = np.einsum("ij,ij->i", difference, difference)
+    def _nearest(self) -> Floats:
+        """Return the squared distance (n,) of each pair to the nearest other, of those stored."""
+        gaps = self._distances
         if self._outcome:
-            difference = self._targets - target
-            squared += self._outcome * np.einsum("ij,ij->i", difference, difference)
-        return squared
+            gaps = gaps + self._outcome * self._outcomes
+        nearest: Floats = gaps.min(axis=1)[self._used]
+        return nearest
 
-    def _gaps(self, row: Floats, target: Floats) -> Floats:
-        """Return the squared distances (n,) of a pair to all stored ones."""
-        return self._gaps_to_all(row, target)[self._used]
+    @property
+    def _outcome(self) -> np.float32:
+        return np.float32(self.config.outcome if self._outcomes.size else 0)
 
-    def _lowest(self, gaps: Floats, errors_now: NDArray[Any] | None) -> int:
-        labels = self._labels(gaps, errors_now)
+    def _lowest(self, row: Floats, target: Floats, errors_now: NDArray[Any] | None) -> int:
+        """Return the slot of the pair that leaves when one with this row and target comes; of equals the oldest."""
+        gaps = _squared(self._inputs, row)[self._used]
+        if self._outcome:
+            gaps += self._outcome * _squared(self._targets, target)[self._used]
+        labels = self._labels(np.minimum(self._nearest(), gaps), errors_now)
         lowest = np.flatnonzero(labels == labels.min())
         slots = self.slots[lowest]
-        return int(slots[np.argmin(self._orders[slots])])  # of equals the oldest
+        return int(slots[np.argmin(self._orders[slots])])
 
-    def _labels(self, gaps: Floats, errors_now: NDArray[Any] | None) -> NDArray[np.float64]:
-        """Return the labels, distances including those to a newcomer."""
+    def _labels(self, nearest: Floats, errors_now: NDArray[Any] | None) -> NDArray[np.float64]:
+        """Return the labels, given the squared distance (n,) of each pair to the nearest other."""
         config = self.config
         labels = np.zeros(len(self))
         if config.recency:
             orders = self._orders[self._used]
             labels += config.recency * _scaled((orders - orders.min(initial=self.version)).astype(np.float64))
         if config.distance:
-            nearest = np.minimum(self._distances.min(axis=1)[self._used], gaps)
             labels += config.distance * _scaled(np.sqrt(nearest.astype(np.float64)))
         if config.current_error and errors_now is not None:
             errors = _rows(errors_now, (len(self),), "errors now")
@@ -295,6 +302,13 @@ class ShortTermMemory(MemoryMirror):
         if config.entry_error:
             labels += config.entry_error * _scaled(self._entry_errors[self._used])
         return labels
+
+
+def _squared(rows: Floats, row: Floats) -> Floats:
+    """Return the squared distance (n,) of each row (n, columns) to one (columns,)."""
+    difference = rows - row
+    squared: Floats = np.einsum("ij,ij->i", difference, difference)
+    return squared
 
 
 def _scaled(term: NDArray[np.float64]) -> NDArray[np.float64]:
