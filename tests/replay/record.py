@@ -35,6 +35,7 @@ RUNS = {
     "late": (
         *SMALL,
         *RESTLESS,
+        "experiment.seed=3",
         "model.object.learner.name=adam",
         "model.induced.learner.name=de",
         "teacher.phase.first teacher.delay=3",
