@@ -27,6 +27,8 @@ Judges = Annotated[list[Name], Meta(max_length=256)]
 Layers = Annotated[list[Annotated[int, Meta(ge=0, le=4096)]], Meta(min_length=2, max_length=8)]
 Seeds = Annotated[list["ModelWeights"], Meta(max_length=100)]
 
+MOST_SUPPORT = 100_000
+"""Pairs in the largest memory that an experiment may ask for."""
 VALUE_BOUND = 1e6
 """Sensor and model values beyond this are refused: no sensor of a robot means them."""
 
@@ -399,6 +401,10 @@ class CurrentModel(Message, frozen=True, kw_only=True):
         check_finite("error", self.error)
         if self.support is not None:
             check_array("support", self.support, "f", 2)
+            if len(self.support) > MOST_SUPPORT:
+                raise ValueError(
+                    f"support has {len(self.support)} rows; no memory holds more than {MOST_SUPPORT} pairs"
+                )
             columns, inputs = self.support.shape[1], self.layers[0]
             if columns != inputs:
                 raise ValueError(f"support has {columns} columns; the network has {inputs} inputs")

@@ -102,7 +102,7 @@ class ModeSection(Section, frozen=True, kw_only=True):
     satisfaction: str
     aspiration: float | None = None
     exploration: Probability = 0.0
-    reach: Annotated[float, Meta(gt=0, le=100)] | None = None
+    reach: Annotated[float, Meta(ge=0.001, le=100)] | None = None
     """How far around a pair a model is believed, in scaled units; see `choice.Mode`."""
     curiosity: Annotated[float, Meta(ge=0, le=10)] = 0.0
 
@@ -118,7 +118,7 @@ class OptimizerSection(Section, frozen=True, kw_only=True):
     feedback_patience_s: Seconds = 2.0
     feedback_window: Annotated[int, Meta(ge=1, le=10_000)] = 100
     """Feedback that comes so many iterations late is still credited to the iteration it names, or that it is for."""
-    most_late: Annotated[int, Meta(ge=0, le=100)] = 6
+    most_late: Annotated[int, Meta(ge=0, le=20)] = 6
     """So many iterations late, at the most, is feedback that names no iteration, and less than the window."""
     word: Word = "first"
     """Of several teachers: "first", who comes first holds the word; "all", whoever speaks first each time."""

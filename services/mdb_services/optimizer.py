@@ -78,7 +78,7 @@ class Optimizer:
         self._cycle: Cycle | None = None
         self._next = 0
         self._elsewhere = Elsewhere()
-        self._teachers = Teachers(config.optimizer.word)
+        self._teachers = Teachers(config.optimizer.word, config.optimizer.feedback_window)
         self._unnamed = Unnamed(config)
         self._unjudged: dict[int, messages.Pair] = {}
         """The pairs within `feedback_window` that have no feedback yet."""

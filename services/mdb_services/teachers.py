@@ -29,22 +29,24 @@ class Verdict(NamedTuple):
 class Teachers:
     """See the module's docstring."""
 
-    def __init__(self, word: Word) -> None:
+    def __init__(self, word: Word, window: int = 0) -> None:
+        """Feedback is kept for so many iterations behind, and for `KEPT_AHEAD`."""
+        self._kept_feedback = KEPT_AHEAD + window
         self.holder: str | None = None
         """Who holds the word; always None where all are heard."""
         self._first_only = word == "first"
         self._commands: dict[int, dict[str, messages.Command]] = {}
         self._feedback: dict[int, dict[str, float | None]] = {}
         self._seen: set[str] = set()
-        self._nameless: set[str] = set()
-        """Whose feedback names no iteration."""
+        self._nameless: dict[str, None] = {}
+        """Whose feedback names no iteration; who spoke last is last."""
 
     def hear(self, command: messages.Command) -> None:
         """Keep a teacher's first command for an iteration."""
         said = self._commands.setdefault(command.iteration, {})
         if len(said) < KEPT_TEACHERS:
             said.setdefault(command.teacher, command)
-        _bound(self._commands)
+        _bound(self._commands, KEPT_AHEAD)
 
     def judge(self, feedback: messages.Feedback) -> None:
         """Keep a teacher's first feedback for an iteration; what he said instead of "not now" counts.
@@ -52,10 +54,12 @@ class Teachers:
         Of one who names no iteration only that is kept: he is not waited for, until he names one again.
         """
         if feedback.iteration is None:
-            if len(self._nameless) < KEPT_TEACHERS:
-                self._nameless.add(feedback.teacher)
+            self._nameless.pop(feedback.teacher, None)
+            self._nameless[feedback.teacher] = None
+            if len(self._nameless) > KEPT_TEACHERS:
+                del self._nameless[next(iter(self._nameless))]
             return
-        self._nameless.discard(feedback.teacher)
+        self._nameless.pop(feedback.teacher, None)
         self.credit(feedback.iteration, feedback)
 
     def credit(self, iteration: int, feedback: messages.Feedback) -> None:
@@ -63,7 +67,7 @@ class Teachers:
         said = self._feedback.setdefault(iteration, {})
         if said.get(feedback.teacher) is None and (feedback.teacher in said or len(said) < KEPT_TEACHERS):
             said[feedback.teacher] = feedback.value
-        _bound(self._feedback)
+        _bound(self._feedback, self._kept_feedback)
 
     def settled(self, iteration: int, alive: frozenset[str]) -> bool:
         """Whether nothing would be gained by waiting longer for a command; `alive` as of `Bus.alive`."""
@@ -123,6 +127,6 @@ class Teachers:
         self._feedback = {i: said for i, said in self._feedback.items() if i >= feedback_before}
 
 
-def _bound(kept: dict[int, dict[str, messages.Command]] | dict[int, dict[str, float | None]]) -> None:
-    if len(kept) > KEPT_AHEAD:
+def _bound(kept: dict[int, dict[str, messages.Command]] | dict[int, dict[str, float | None]], most: int) -> None:
+    if len(kept) > most:
         del kept[max(kept)]

@@ -17,6 +17,9 @@ from mdb_services.mechanism.encoding import Codebook, gather
 from mdb_services.mechanism.network import Floats
 from mdb_services.teachers import KEPT_TEACHERS
 
+KNOWN_TEACHERS = 8
+"""Teachers of whom it is known how late they are; beyond it the one who was silent longest is forgotten."""
+
 
 class Unnamed:
     """See the module's docstring."""
@@ -32,7 +35,9 @@ class Unnamed:
         self._said: dict[str, list[float]] = {}
         """What each teacher has said since the last action."""
         self._credits: dict[str, Credit] = {}
-        """Of each teacher; who began last is last."""
+        """Of each teacher; who spoke last is last."""
+        self._asked = -1
+        """The iteration for which the last feedback was taken in."""
 
     def remember(self, pair: messages.Pair) -> None:
         """Keep what the models read of a pair as long as feedback may be for it."""
@@ -50,23 +55,34 @@ class Unnamed:
     def credited(self, now: int) -> Iterable[tuple[int, messages.Feedback]]:
         """Yield the feedback that is credited before the action of iteration `now`, with its iteration.
 
-        What comes in a heap, as after a network that was cut, is left out: nobody can tell what it is for.
+        It is taken in once an iteration; asked again, only what has fallen due is told. More feedback of one teacher
+        than there are actions it can be for, as after a network that was cut, is left out.
         """
-        said, self._said = self._said, {}
-        for teacher, values in said.items():
-            for value in values if len(values) <= self._lags else []:
-                self._credit_of(teacher).hear(now, self._rows_before(now), value)
+        if now != self._asked:
+            self._asked = now
+            self._take_in(now)
         for teacher, credit in self._credits.items():
             for iteration, value in credit.due(now, self._patience):
                 yield iteration, messages.Feedback(teacher=teacher, value=value)
 
+    def _take_in(self, now: int) -> None:
+        """Hand on what each teacher has said, in the order of their names: the same however it came."""
+        said, self._said = self._said, {}
+        for teacher in sorted(said):
+            if len(said[teacher]) <= self._lags:
+                credit = self._credit_of(teacher)
+                for value in said[teacher]:
+                    credit.hear(now, self._rows_before(now), value)
+
     def _credit_of(self, teacher: str) -> Credit:
-        if teacher not in self._credits:
+        credit = self._credits.pop(teacher, None)
+        if credit is None:
             newest = next(reversed(self._credits.values()), None)
-            self._credits[teacher] = Credit(self._lags, [book.width for book in self._books], newest)
-            if len(self._credits) > KEPT_TEACHERS:
-                del self._credits[next(iter(self._credits))]
-        return self._credits[teacher]
+            credit = Credit(self._lags, [book.width for book in self._books], newest)
+        self._credits[teacher] = credit
+        if len(self._credits) > KNOWN_TEACHERS:
+            del self._credits[next(iter(self._credits))]
+        return credit
 
     def _rows_before(self, now: int) -> list[Floats]:
         """Return for each model (lags, w): what it reads of the pairs before iteration `now`, the newest first."""

@@ -61,8 +61,10 @@ class ScriptedTeacher:
         while self._owed and self._owed[0][0] <= scene.iteration:
             self._reward(self._owed.pop(0)[1])
         iteration = scene.iteration - 1
-        phase = self._schedule.at(max(0, iteration))
-        if scene.action is None or scene.before is None or phase.teacher is None:
+        if iteration < 0 or scene.action is None or scene.before is None:
+            return
+        phase = self._schedule.at(iteration)
+        if phase.teacher is None:
             return
         try:
             judgement = self._schedule.judgement(iteration, placement_of(scene.before), scene.action)

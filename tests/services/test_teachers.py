@@ -134,3 +134,10 @@ def test_who_names_no_iteration_is_not_waited_for_until_he_names_one() -> None:
     for i in range(3 * KEPT_TEACHERS):
         teachers.judge(Feedback(teacher=f"t{i}", value=None))
     assert len(teachers._nameless) == KEPT_TEACHERS
+
+
+def test_feedback_behind_does_not_push_out_what_is_said_now() -> None:
+    teachers = Teachers("first", window=1000)
+    for iteration in range(600):
+        teachers.judge(Feedback(teacher="ann", iteration=iteration, value=1.0))
+    assert teachers.verdict(599, "ann").value == 1.0

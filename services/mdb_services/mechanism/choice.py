@@ -23,7 +23,7 @@ RANDOM = "random"
 GOOD_ERROR = 0.05
 """Mean squared, in scaled units: what a model has that has learnt well from a teacher who never errs (ours)."""
 SUPPORTED = 0.5
-"""What has more support than this has been tried, or its like has (ours)."""
+"""What has as much support as this has been tried, or its like has (ours)."""
 ALIKE = 1e-6
 """Hopes that differ by less are equal."""
 
@@ -41,11 +41,11 @@ class Mode:
 
     While the best promise is below `aspiration`, something else is tried: what may be better by `curiosity` times
     `sqrt(1 - support)`. A graded reward for one wrong action so tells about its neighbours. Where nothing may be
-    better, it is what was tried longest ago under this command, with probability `exploration`; with `reach`, once
-    all is supported, no more often than the model errs, for what is known and certain need not be tried again. What
-    cannot be foreseen is not aspired to: the aspiration is less by the root of the mean squared error beyond
-    `GOOD_ERROR` that the model has over its memory. So a teacher who errs is obeyed, and one who does not loses
-    nothing.
+    better, as where nothing at all is known of a command, it is what was tried longest ago under it, with probability
+    `exploration`, and what promises most otherwise. What cannot be foreseen is not aspired to: the aspiration is less
+    by its `shortfall`, the root of the mean squared error beyond `GOOD_ERROR` that the model has over its memory. So a
+    teacher who errs is obeyed, and one who does not loses nothing. With `reach`, once all is supported, the shortfall
+    is also the greatest probability with which something is tried again: what is known and certain need not be.
     """
 
     name: str

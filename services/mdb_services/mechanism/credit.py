@@ -28,6 +28,8 @@ from mdb_services.mechanism.sharing import Ints, Values, share
 
 SPREADS = 1, 2, 3, 5
 """Over so many lags that follow one another feedback may be spread."""
+SHARED = 200
+"""Pairs, the newest, among which feedback is shared: of one who seldom judges there would be very many."""
 KEPT = 100
 """Feedback from which the next is foreseen; the oldest leaves."""
 NEIGHBOURS = 3
@@ -97,9 +99,9 @@ class Credit:
         self._next = 0
         """The first iteration that it is not decided about."""
         self._others = 0
-        """Kept feedback of the teachers before him, the oldest; ..."""
+        """How many of the kept feedbacks, the oldest ones, are of the teacher before him."""
         self._alone = False
-        """... whether they have turned out to be late in another way, and share nothing with him."""
+        """Whether he has turned out to be late in another way than that teacher: then they share nothing."""
         if before is not None:
             self._begin_like(before)
 
@@ -186,7 +188,7 @@ class Credit:
 
     def _shares(self, places: Ints) -> Values:
         """Return the shares of the kept feedback in the iterations that it may be for (n, lags)."""
-        iterations = np.array(sorted(self._pairs))
+        iterations = np.array(sorted(self._pairs)[-SHARED:])
         rows = [np.stack([self._pairs[i][model] for i in iterations.tolist()]) for model in range(len(self._rows))]
         known = (places >= 0) & np.isin(places, iterations)
         if self._alone:

@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 STEPS = 8
 SCALINGS = 3
 NEIGHBOURS = 5
-"""Pairs are alike when they are as near to one another as, in the median, a pair to its fifth nearest."""
+"""The scale of likeness is the median distance from a pair to its fifth nearest pair."""
 NEAREST = 0.1
 """Rows are about in [-1, 1]; pairs that are nearer than this are always alike."""
 UNFORESEEN = 0.3
