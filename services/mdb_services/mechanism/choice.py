@@ -43,9 +43,10 @@ class Mode:
     `sqrt(1 - support)`. A graded reward for one wrong action so tells about its neighbours. Where nothing may be
     better, as where nothing at all is known of a command, it is what was tried longest ago under it, with probability
     `exploration`, and what promises most otherwise. What cannot be foreseen is not aspired to: the aspiration is less
-    by its `shortfall`, the root of the mean squared error beyond `GOOD_ERROR` that the model has over its memory. So a
-    teacher who errs is obeyed, and one who does not loses nothing. With `reach`, once all is supported, the shortfall
-    is also the greatest probability with which something is tried again: what is known and certain need not be.
+    by its `shortfall`, the root of the mean squared error beyond `GOOD_ERROR` that the model has over its memory. So
+    a teacher who errs is obeyed, and one who does not loses nothing. With `reach`, once all is supported, the
+    shortfall is also the greatest probability with which something is tried again: what is known and certain need
+    not be.
     """
 
     name: str
