@@ -81,7 +81,8 @@ def _left_out(gone: Sequence[Result]) -> str:
     if not gone:
         return ""
     names = ", ".join(f"“{name}”" for name in dict.fromkeys(result.label.variant for result in gone))
-    return f"**Left out**: {len(gone)} run{'s' if len(gone) != 1 else ''} of variants that this study no longer has: {names}."
+    runs = f"{len(gone)} run{'s' if len(gone) != 1 else ''}"
+    return f"**Left out**: {runs} of variants that this study no longer has: {names}."
 
 
 def one(study: Study, results: Sequence[Result], folder: Path) -> tuple[str, list[Path]]:
