@@ -5,27 +5,30 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import psutil
+import pyarrow.parquet as pq
 import pytest
 import structlog
 import tomli_w
 from rich.console import Console
 
 from mdb_deploy.cli import experiment_path, main
-from mdb_deploy.studies import sweep
+from mdb_deploy.studies import processes, sweep
 from mdb_deploy.studies.sweep import Sweep
 from mdb_protocol.errors import ConfigError
 from mdb_sim.experiment import Experiment
-from mdb_sim.studies import running, tables
+from mdb_sim.studies import results, running, tables
 from mdb_sim.studies.catalogue import ACCEPTANCE, STUDIES
 from mdb_sim.studies.results import decode
 from tests.integration.brain import SHORT
 from tests.services.small import CONTENT
+from tests.sim.phases import label, run
 
 PAPER = experiment_path("paper")
 TINY = (
@@ -249,6 +252,54 @@ def test_a_run_that_fails_is_named_and_does_not_end_the_others(
     assert status == 3
     assert "failed: alone, as shipped, seed 801: RuntimeError: the disk is full" in progress
     assert "seed 802" in out
+
+
+def dies_with_801(task: running.Task) -> bytes:
+    if task.label.seed == 801:
+        os._exit(9)
+    return b"done"
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_run_that_kills_its_process_is_named_and_all_others_are_done(tmp_path: Path, workers: int) -> None:
+    tasks = sweep.tasks_of(STUDIES["alone"], wanted(tmp_path, seeds=(801, 802, 803, 804)))
+    answers = {task.label.seed: answer for task, answer in processes.answers(dies_with_801, tasks, workers)}
+    assert isinstance(answers.pop(801), BrokenProcessPool)
+    assert answers == dict.fromkeys((802, 803, 804), b"done")
+
+
+def test_an_older_result_is_not_counted_where_its_run_failed(tmp_path: Path) -> None:
+    of = wanted(tmp_path, seeds=(801,))
+    assert swept("alone", of)[0].done == 1
+    changed = sweep.tasks_of(STUDIES["alone"], wanted(tmp_path, "evolution.elite=2", seeds=(801,)))
+    assert len(sweep.results_of(sweep.tasks_of(STUDIES["alone"], of), tmp_path)) == 1
+    assert sweep.results_of(changed, tmp_path) == []
+
+
+def test_a_file_of_another_version_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written = results.write(tmp_path, results.encode(label("alone"), run(11)), label("alone"))
+    table = pq.read_table(written, partitioning=None)
+    pq.write_table(table.drop_columns(["bumps", "captured"]), written)
+    assert main(["study", "report", "--results", str(tmp_path), "--out", str(tmp_path / "R.md")]) == 2
+    error = capsys.readouterr().err
+    assert f"made by another version of the project, which kept other things of a run: {written}" in error
+    assert "run their studies again" in error
+
+
+def test_a_run_folder_has_its_name_when_its_run_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def do(task: running.Task) -> bytes:
+        Path(str(task.keep)).mkdir(parents=True)
+        raise RuntimeError("the disk is full")
+
+    of = wanted(tmp_path, seeds=(801,))
+    assert swept("alone", of)[0].done == 1
+    keeping = replace(of, keep=True)
+    with monkeypatch.context() as patched:
+        patched.setattr(running, "do", do)
+        assert len(swept("alone", keeping)[0].failed) == 1
+    assert [path.name for path in tmp_path.glob("runs/*/*/*")] == ["seed801-kinematic.part"]
+    assert swept("alone", keeping)[0].done == 1
+    assert [path.name for path in tmp_path.glob("runs/*/*/*")] == ["seed801-kinematic"]
 
 
 def test_run_folders_are_kept_when_that_is_asked_for(tmp_path: Path) -> None:

@@ -72,8 +72,59 @@ def test_aims_with_teachers_as_they_are_are_told_as_met_missed_or_not_measured()
     assert "| 20 % wrong notes: obedience ≥ 80 % | 60.0 % [60.0 %, 60.0 %] | **no** |" in table
     assert "| 20 % wrong notes: captures alone ≥ 100 | 110 [110, 110] | yes |" in table
     assert "| 20 % wrong feedback: obedience ≥ 80 % | not measured | **no** |" in table
-    assert f"| {fading}: obedience, both teachers not worse | 60.0 %" in table
+    assert f"| {fading}: mean obedience, both teachers ≥ 97 % of perfect | 60.0 %" in table
     assert "captures ≥ 90 % of named | 71.1 %: 73.2 [73.2, 73.2]; named 103 [103, 103] | **no** |" in table
+
+
+@pytest.mark.parametrize(
+    ("obedience", "seeds", "met"),
+    [(0.97, 6, "yes"), (0.95, 6, "**no**"), (float("nan"), 6, "**no**"), (0.97, 2, "yes (few seeds)")],
+)
+def test_praise_that_fades_may_lose_three_percent_of_the_mean(obedience: float, seeds: int, met: str) -> None:
+    perfect = {seed: run(seed) for seed in range(1, seeds + 1)}
+    fading = {seed: run(seed, obedience={0: obedience, 2: obedience}) for seed in perfect}
+    table = aims_table({"perfect": perfect, "praise that fades (half in 100)": fading})
+    row = next(line for line in table.splitlines() if "mean obedience" in line)
+    assert row.endswith(f"| {met} |")
+
+
+def test_of_a_variant_that_captured_nothing_there_is_no_share() -> None:
+    nothing = {1: run(1, captures=dict.fromkeys(range(4), 0.0))}
+    table = aims_table({"late by 1": nothing, "late by 1, not named": {1: run(1)}})
+    assert "| late by 1, not named: captures ≥ 90 % of named | not measured | **no** |" in table
+
+
+def test_settings_that_differ_between_seeds_and_variants_that_are_gone_are_said(tmp_path: Path) -> None:
+    body, short = "robot.body=pybullet", "optimizer.horizon=3"
+    settings = {11: (body,), 12: (body,), 13: (body, short)}
+    found = [Result(label("alone", seed=s, overrides=of), run(s)) for s, of in settings.items()]
+    old = Result(label("alone", "older", seed=11, order=1, overrides=(body,)), run(11))
+    document.write([*found, old], tmp_path / "REPORT.md", {"alone": ["as shipped"]})
+    text = (tmp_path / "REPORT.md").read_text(encoding="utf-8")
+    assert f"Set for all: `{body}`." in text
+    mixed = f"**Mixed settings** under “as shipped”: seeds 11, 12 with `{body}`; seed 13 with `{body}`, `{short}`"
+    assert mixed in text
+    assert "**Left out**: 1 run of variants that this study no longer has: “older”." in text
+    assert "0 of 6 phases alone" in text, "all three seeds are shown"
+
+
+def test_the_reproduction_shows_every_variant_with_all_its_own_seeds(tmp_path: Path) -> None:
+    found = results("reproduction", ["graded reward"], range(11, 16))
+    found += [Result(label("reproduction", "binary reward", s, 1), run(s)) for s in (11, 12)]
+    document.write(found, tmp_path / "REPORT.md")
+    text = (tmp_path / "REPORT.md").read_text(encoding="utf-8")
+    assert "median 70 [70, 70] (5 seeds)" in text
+    assert "| graded reward (5 seeds) | first teacher, alone |" in text
+    assert "| binary reward (2 seeds) | first teacher, alone |" in text
+    assert "Side by side, on seeds 11, 12:" in text
+    assert "runs of seeds 13 to 15 are missing for some variants" in text
+
+
+def test_a_study_whose_variants_have_no_seed_in_common_says_so(tmp_path: Path) -> None:
+    found = [Result(label("teachers", variant, s, s), run(s)) for s, variant in enumerate(["perfect", "binary"])]
+    text, figures = document.one(STUDIES["teachers"], found, tmp_path)
+    assert "No seed was run under all variants" in text
+    assert figures == []
 
 
 def test_statements_are_filled_from_what_was_measured(whole: tuple[str, Path]) -> None:

@@ -11,13 +11,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from mdb_deploy.cli import experiment_path
 from mdb_deploy.studies import sweep
 from mdb_deploy.studies.sweep import Outcome, Sweep
 from mdb_protocol.errors import ConfigError, MdbError
+from mdb_sim.experiment import Experiment
 from mdb_sim.figures import need_matplotlib
 from mdb_sim.report import document
 from mdb_sim.report.acceptance import acceptance_table, failures, judge
-from mdb_sim.studies import results
+from mdb_sim.studies import results, tables
 from mdb_sim.studies.catalogue import ACCEPTANCE, REPORTED, Study
 from mdb_sim.studies.results import Result
 from mdb_sim.studies.running import Task
@@ -25,6 +27,8 @@ from mdb_sim.studies.running import Task
 MISSED = 1
 FAILED = 3
 """Exit status when a run failed."""
+_OTHER_FORM = (KeyError, TypeError, ValueError)
+"""What comes of a file whose columns are not those of a `PhaseRow`."""
 
 
 def accept(wanted: Sweep) -> int:
@@ -71,9 +75,36 @@ def report(folder: Path, out: Path) -> int:
     results.need_pyarrow()
     if not folder.is_dir():
         raise MdbError(f"--results {folder}: no such folder; expected one that 'mdb study NAME --out' has written")
-    for path in document.write(results.read(folder), out):
+    for path in document.write(_read(folder), out, _variants()):
         sys.stderr.write(f"{path}\n")
     return 0
+
+
+def _read(folder: Path) -> list[Result]:
+    """Return all results; MdbError names those that another version of the project made in another form."""
+    try:
+        return results.read(folder)
+    except _OTHER_FORM:
+        old = ", ".join(str(path) for path, _ in results.labels(folder) if not _readable(path))
+        raise MdbError(
+            f"made by another version of the project, which kept other things of a run: {old}; "
+            "run their studies again, or delete these files"
+        ) from None
+
+
+def _readable(path: Path) -> bool:
+    try:
+        results.decode(path.read_bytes())
+    except _OTHER_FORM:
+        return False
+    return True
+
+
+def _variants() -> dict[str, set[str]]:
+    """Return the names of each study's variants; they are the same for all experiments."""
+    shipped = experiment_path("paper")
+    made = {which.name: Experiment.read(shipped, tables.overrides_of(which)) for which in REPORTED}
+    return {name: {variant.name for variant in tables.VARIANTS[name](of)} for name, of in made.items()}
 
 
 def _check(which: Study, tasks: Sequence[Task], wanted: Sweep) -> None:

@@ -2,27 +2,24 @@
 
 Owns which runs are missing, who does them, what is shown meanwhile, and what becomes of a run that fails: it is
 named with its seed and error, the others go on, and `Outcome.failed` tells. What one run is, is in
-`mdb_sim.studies.running`; where its result lies, in `mdb_sim.studies.results`.
+`mdb_sim.studies.running`; where its result lies, in `mdb_sim.studies.results`; the processes are in `processes`.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
+import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor, Future, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from mdb_deploy.studies import processes
 from mdb_protocol.errors import ConfigError, MdbError
 from mdb_sim.experiment import Experiment
 from mdb_sim.studies import results, running, tables
@@ -30,10 +27,6 @@ from mdb_sim.studies.catalogue import PHASE, Study
 from mdb_sim.studies.results import Label, Result
 from mdb_sim.studies.running import Task
 
-ATTEMPTS = 2
-"""How often a run is begun whose worker died under it, on this machine; a cluster has its own rule."""
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""A worker has one core; Dask's workers set the same."""
 CONNECTED_S = 20.0
 """How long a Dask scheduler may take to answer."""
 
@@ -147,9 +140,10 @@ def run(tasks: Sequence[Task], sweep: Sweep, console: Console | None = None) -> 
 
 
 def results_of(tasks: Sequence[Task], folder: Path) -> list[Result]:
-    """Return the results of these runs, in their order; those that failed are missing."""
-    paths = [folder / task.label.path for task in tasks]
-    return [results.decode(path.read_bytes()) for path in paths if path.exists()]
+    """Return the results of these runs, in their order, without those that failed: a file of another run is none."""
+    there = {path: label.fingerprint for path, label in results.labels(folder)}
+    paths = [(folder / task.label.path, task.label.fingerprint) for task in tasks]
+    return [results.decode(path.read_bytes()) for path, made_of in paths if there.get(path) == made_of]
 
 
 def _name(task: Task) -> str:
@@ -182,68 +176,34 @@ def _answers(tasks: Sequence[Task], sweep: Sweep) -> Iterator[tuple[Task, bytes 
     if sweep.workers == 0:
         yield from _one_after_the_other(tasks)
         return
-    left = list(tasks)
-    for attempt in range(ATTEMPTS):
-        again = []
-        with _pool(min(sweep.workers, len(left))) as pool:
-            for task, answer in _submitted(pool, left):
-                if isinstance(answer, BrokenProcessPool) and attempt + 1 < ATTEMPTS:
-                    again.append(task)
-                else:
-                    yield task, answer
-        left = again
-        if not left:
-            return
+    yield from processes.answers(_done, tasks, sweep.workers)
+
+
+def _done(task: Task) -> bytes:
+    """Do a run; where its folder is kept, it has its name only when the run is whole."""
+    if task.keep is None:
+        return running.do(task)
+    part = f"{task.keep}.part"
+    # What is there is of another run, which is not to be taken for this one's if it fails.
+    shutil.rmtree(task.keep, ignore_errors=True)
+    data = running.do(replace(task, keep=part))
+    Path(part).rename(task.keep)
+    return data
 
 
 def _one_after_the_other(tasks: Iterable[Task]) -> Iterator[tuple[Task, bytes | BaseException]]:
     for task in tasks:
         try:
-            yield task, running.do(task)
+            yield task, _done(task)
         except Exception as error:
             yield task, error
 
 
 def _submitted(executor: Executor, tasks: Iterable[Task]) -> Iterator[tuple[Task, bytes | BaseException]]:
-    futures: dict[Future[bytes], Task] = {executor.submit(running.do, task): task for task in tasks}
+    futures: dict[Future[bytes], Task] = {executor.submit(_done, task): task for task in tasks}
     for future in as_completed(futures):
         failure = future.exception()
         yield futures[future], failure if failure is not None else future.result()
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Give a pool of processes that ends with this one, however that ends, and leaves no run folder behind."""
-    with tempfile.TemporaryDirectory(prefix="mdb-study-", ignore_cleanup_errors=True) as folder:
-        yield from _processes(workers, folder)
-
-
-def _processes(workers: int, folder: str) -> Iterator[ProcessPoolExecutor]:
-    # Ended by SIGTERM without this, it would leave its workers behind.
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    for threads in ONE_THREAD:
-        os.environ.setdefault(threads, "1")
-    mine = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(max(1, workers), mp_context=context, initializer=_begin_worker, initargs=(folder,))
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in set(multiprocessing.active_children()) - mine:
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown()
-        signal.signal(signal.SIGTERM, before)
-
-
-def _begin_worker(folder: str) -> None:
-    """Leave Ctrl-C to the parent, which ends the runs, and standard output to the table; work in its folder."""
-    tempfile.tempdir = folder
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    running.quiet()
 
 
 @contextmanager

@@ -258,8 +258,8 @@ def _shade(axes: Axes, phases: Sequence[PhaseRow], *, labelled: bool) -> None:
 
 
 def _title(figure: Figure, runs: Runs, text: str) -> None:
-    count = len(next(iter(runs.values())))
-    seeds = f"{count} seed{'s' if count != 1 else ''}"
+    counts = sorted({len(seeds) for seeds in runs.values()})
+    seeds = f"{' to '.join(map(str, dict.fromkeys((counts[0], counts[-1]))))} seed{'s' if counts[-1] != 1 else ''}"
     figure.suptitle(f"{text}, {seeds}" if text else seeds, x=0.01, ha="left", fontsize=12)
 
 

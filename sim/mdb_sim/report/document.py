@@ -6,12 +6,12 @@ Owns the frame: titles, what a section is made of, where figures go. What is sho
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
 from mdb_sim.report.paper import statements_table
-from mdb_sim.report.quantities import runs_of
+from mdb_sim.report.quantities import all_runs_of, runs_of
 from mdb_sim.report.sections import SECTIONS, Section
 from mdb_sim.report.short import in_short
 from mdb_sim.report.statistics import seeds_text
@@ -19,6 +19,8 @@ from mdb_sim.studies.catalogue import REPORTED, Study
 from mdb_sim.studies.results import Result
 
 GALLERY = "gallery"
+UNPAIRED = ("reproduction",)
+"""Studies that show each variant with all its own seeds."""
 INTRODUCTION = """\
 # The study
 
@@ -37,11 +39,16 @@ not hold.
 """
 
 
-def write(results: Sequence[Result], out: Path) -> list[Path]:
-    """Write the report and its figures, which go into `gallery` beside it; return the files."""
-    found: dict[str, list[Result]] = {}
-    for result in results:
-        found.setdefault(result.label.study, []).append(result)
+Variants = Mapping[str, Collection[str]]
+"""The names of a study's variants, by study."""
+
+
+def write(results: Sequence[Result], out: Path, variants: Variants | None = None) -> list[Path]:
+    """Write the report and its figures, which go into `gallery` beside it; return the files.
+
+    variants: those that each study has now. Results of others are left out, which is said; None: all are shown.
+    """
+    found, gone = _sorted(results, variants or {})
     parts, files = [INTRODUCTION, in_short(found)], []
     gallery = out.parent / GALLERY
     for number, study in enumerate(REPORTED, 1):
@@ -52,11 +59,30 @@ def write(results: Sequence[Result], out: Path) -> list[Path]:
             parts.append(f"Not measured yet: `mdb study {study.name}` is missing in these results.")
             continue
         text, figures = _section(study, found[study.name], gallery, GALLERY)
-        parts.append(text)
+        parts += [_left_out(gone.get(study.name, [])), text]
         files += figures
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(_joined(parts), encoding="utf-8")
     return [out, *files]
+
+
+def _sorted(results: Sequence[Result], variants: Variants) -> tuple[dict[str, list[Result]], dict[str, list[Result]]]:
+    """Return results by study: those of variants that it has, and those of variants that it no longer has."""
+    found: dict[str, list[Result]] = {}
+    gone: dict[str, list[Result]] = {}
+    for result in results:
+        known = variants.get(result.label.study)
+        there = known is None or result.label.variant in known
+        (found if there else gone).setdefault(result.label.study, []).append(result)
+    return found, gone
+
+
+def _left_out(gone: Sequence[Result]) -> str:
+    if not gone:
+        return ""
+    names = ", ".join(f"“{name}”" for name in dict.fromkeys(result.label.variant for result in gone))
+    runs = f"{len(gone)} run{'s' if len(gone) != 1 else ''}"
+    return f"**Left out**: {runs} of variants that this study no longer has: {names}."
 
 
 def one(study: Study, results: Sequence[Result], folder: Path) -> tuple[str, list[Path]]:
@@ -76,12 +102,14 @@ def _section(study: Study, results: Sequence[Result], folder: Path, link: str) -
         for result in sorted(of, key=lambda result: result.label.order):
             seconds.setdefault(result.label.variant, []).append(result.label.seconds)
         stem = folder / "".join(c if c.isalnum() else "-" for c in name)
-        section = Section(
-            study, runs_of(of), stem, link, {variant: median(took) for variant, took in seconds.items()}
-        )
+        took = {variant: median(each) for variant, each in seconds.items()}
+        section = Section(study, runs_of(of), all_runs_of(of), stem, link, took)
         if len(bodies) > 1:
             parts.append(f"### Body: {body}")
         parts.append(_described(study, of))
+        if study.name not in UNPAIRED and not any(section.runs.values()):
+            parts.append("No seed was run under all variants, so there is nothing to compare yet.")
+            continue
         parts.append(SECTIONS[study.name](section))
         files += section.files
     return _joined(parts), files
@@ -96,18 +124,36 @@ def _described(study: Study, results: Sequence[Result]) -> str:
     whole = [seed for seed in seeds if counts[seed] == len(variants)]
     codes = sorted({result.label.code for result in results})
     minutes = sum(result.label.seconds for result in results) / 60
+    everywhere = [each for each in first.label.overrides if all(each in r.label.overrides for r in results)]
     text = (
         f"`mdb study {study.name}`: {first.rows[-1].stop} iterations, body {first.label.body}, {seeds_text(seeds)}; "
         f"{len(results)} runs, {minutes:.0f} minutes of one core; code {', '.join(codes)}."
     )
+    if everywhere:
+        text += f" Set for all: {_settings(everywhere)}."
     if len(codes) > 1:
         text += " **These runs are of more than one version of the code**: `mdb study` again makes them alike."
     if len(whole) < len(seeds):
-        lacking = ", ".join(map(str, (seed for seed in seeds if seed not in whole)))
-        text += (
-            f" **Not whole**: runs of the seeds {lacking} are missing for some variants; these seeds are left out."
-        )
-    return text
+        lacking = seeds_text([seed for seed in seeds if seed not in whole])
+        where = " of what is compared side by side" if study.name in UNPAIRED else ""
+        text += f" **Not whole**: runs of {lacking} are missing for some variants; they are left out{where}."
+    return " ".join([text, *_mixed(results)])
+
+
+def _mixed(results: Sequence[Result]) -> Iterator[str]:
+    """Yield a sentence for each variant whose seeds were not all run with the same settings."""
+    by_variant: dict[str, dict[tuple[str, ...], list[int]]] = {}
+    for result in results:
+        by_settings = by_variant.setdefault(result.label.variant, {})
+        by_settings.setdefault(result.label.overrides, []).append(result.label.seed)
+    for variant, by_settings in by_variant.items():
+        if len(by_settings) > 1:
+            told = [f"{seeds_text(sorted(seeds))} with {_settings(own)}" for own, seeds in by_settings.items()]
+            yield f"**Mixed settings** under “{variant}”: {'; '.join(told)}: `mdb study` again makes them alike."
+
+
+def _settings(overrides: Sequence[str]) -> str:
+    return ", ".join(f"`{override}`" for override in overrides) or "none"
 
 
 def _joined(parts: Iterable[str]) -> str:

@@ -7,12 +7,12 @@ unless said, and of others where named.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from mdb_sim.report.comings import comings_of
-from mdb_sim.report.quantities import OBEDIENCE, TO_OBEDIENCE, Measure, Runs, capture_rate, runs_of
+from mdb_sim.report.quantities import OBEDIENCE, TO_OBEDIENCE, Measure, Runs, all_runs_of, capture_rate, runs_of
 from mdb_sim.report.statistics import Shape, Statistic, estimate, interval, number, percent, text
 from mdb_sim.studies import tables
 from mdb_sim.studies.results import Result
@@ -31,19 +31,19 @@ PAPER_PHASES = 4
 """Taught, alone, taught by another, alone."""
 
 
-def _runs(found: Found, study: str) -> Runs | None:
+def _runs(found: Found, study: str, of: Callable[[Iterable[Result]], Runs] = runs_of) -> Runs | None:
     results = found.get(study)
     if not results:
         return None
     body = results[0].label.body
-    return runs_of(result for result in results if result.label.body == body)
+    return of(result for result in results if result.label.body == body)
 
 
 def in_reproduction(told: Callable[[Seeds], str], variant: str = GRADED) -> Measured:
-    """Return what is told of the runs of the reproduction."""
+    """Return what is told of a variant's runs in the reproduction: of all its seeds, whatever the others have."""
 
     def measured(found: Found) -> str:
-        runs = _runs(found, MAIN)
+        runs = _runs(found, MAIN, all_runs_of)
         if runs is None or not runs.get(variant):
             return NOT_YET
         if any(len(rows) != PAPER_PHASES for rows in runs[variant].values()):
@@ -85,7 +85,7 @@ def later_is_better(seeds: Seeds) -> str:
     last = [part(rows[0], slice(-100, None)) for rows in seeds.values()]
     return (
         f"prequential MSE of the first teacher's first 100 commands {interval(estimate(first, 'mean'), percent)}, of "
-        f"the last 100 {interval(estimate(last, 'mean'), percent)}"
+        f"the last 100 {interval(estimate(last, 'mean'), percent)} ({len(seeds)} seeds)"
     )
 
 
@@ -94,7 +94,10 @@ def relearning(seeds: Seeds) -> str:
     from_zero = [rows[0].iterations_to_error for rows in seeds.values()]
     again = [rows[2].iterations_to_error for rows in seeds.values()]
     first, second = estimate(from_zero, "median").value, estimate(again, "median").value
-    return f"iterations to 10 %, medians: first teacher {text(first, number)}, second {text(second, number)}"
+    return (
+        f"iterations to 10 %, medians: first teacher {text(first, number)}, second {text(second, number)} "
+        f"({len(seeds)} seeds)"
+    )
 
 
 def slope(seeds: Seeds) -> str:
@@ -151,7 +154,7 @@ def movements(seeds: Seeds) -> str:
 
     return (
         f"movements to a capture: taught {interval(estimate(mean(False), 'mean'), number)}, "
-        f"alone {interval(estimate(mean(True), 'mean'), number)}"
+        f"alone {interval(estimate(mean(True), 'mean'), number)} ({len(seeds)} seeds)"
     )
 
 

@@ -34,11 +34,17 @@ Runs = Mapping[str, Mapping[int, tuple[PhaseRow, ...]]]
 
 def runs_of(results: Iterable[Result]) -> Runs:
     """Return runs by variant and seed, variants in their study's order, all with the seeds that all of them have."""
+    found = all_runs_of(results)
+    common = set.intersection(*(set(seeds) for seeds in found.values())) if found else set[int]()
+    return {variant: {s: rows for s, rows in seeds.items() if s in common} for variant, seeds in found.items()}
+
+
+def all_runs_of(results: Iterable[Result]) -> Runs:
+    """Return runs by variant and seed, variants in their study's order, each with all its own seeds."""
     found: dict[str, dict[int, tuple[PhaseRow, ...]]] = {}
     for result in sorted(results, key=lambda result: (result.label.order, result.label.seed)):
         found.setdefault(result.label.variant, {})[result.label.seed] = result.rows
-    common = set.intersection(*(set(seeds) for seeds in found.values())) if found else set[int]()
-    return {variant: {s: rows for s, rows in seeds.items() if s in common} for variant, seeds in found.items()}
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,7 @@ from mdb_sim.report.quantities import (
     quantity_table,
     summary,
 )
-from mdb_sim.report.statistics import estimate, interval, markdown, number, percent, text, wilson
+from mdb_sim.report.statistics import estimate, interval, markdown, number, percent, seeds_text, text, wilson
 from mdb_sim.studies import tables
 from mdb_sim.studies.catalogue import Study
 from mdb_sim.studies.rows import PhaseRow
@@ -41,6 +41,9 @@ class Section:
 
     study: Study
     runs: Runs
+    """All variants with the seeds that all of them have."""
+    own: Runs
+    """Each variant with all its own seeds: what is not compared seed by seed."""
     stem: Path
     """Beginning of its figures' paths, without ending."""
     link: str
@@ -62,7 +65,8 @@ class Section:
 
 def reproduction(section: Section) -> str:
     """Figures 4 to 6, what was captured, and the slopes."""
-    runs = section.runs
+    runs = {f"{variant} ({len(seeds)} seeds)": seeds for variant, seeds in section.own.items()}
+    common = next(iter(section.runs.values()))
     return _paragraphs(
         section.figure(
             curves.draw_errors(runs, section.named("figure4")),
@@ -77,7 +81,8 @@ def reproduction(section: Section) -> str:
             curves.draw_paths(runs, section.named("figure6")),
             "Figure 6: typical episodes of the first seed, those of the most ordinary length.",
         ),
-        summary(all_quantities(runs)),
+        f"Side by side, on {seeds_text(list(common))}:" if common else "",
+        summary(all_quantities(section.runs)) if common else "",
         "**The slope.** Captures in 100 iterations, and movements to a capture (mean of the seeds):",
         slopes_table(runs),
         *(f"{variant}: {error_without_obedience(seeds)}" for variant, seeds in runs.items()),
