@@ -265,4 +265,4 @@ def _title(figure: Figure, runs: Runs, text: str) -> None:
 
 def _legend(figure: Figure, axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=max(1, len(labels)), fontsize=10)
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(max(1, len(labels)), 3), fontsize=10)

@@ -169,7 +169,7 @@ def _fill_comings(results: Mapping[str, Sequence[ComingsRow]], figure: Figure) -
         x=0.01, ha="left", fontsize=12,
     )  # fmt: skip
     handles, labels = panels[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=10)
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 2), fontsize=10)
 
 
 def _draw_coming(axes: Axes, results: Mapping[str, Sequence[ComingsRow]], place: int) -> None:

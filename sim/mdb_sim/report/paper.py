@@ -264,7 +264,8 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "All actions are tested, the one with the best satisfaction is taken.",
         "adapted",
-        f"`{MECHANISM}/choice.py`. But while nothing promises enough the robot sometimes explores, which is ours.",
+        f"`{MECHANISM}/choice.py`. But a satisfaction counts as far as the memory supports it, and while nothing "
+        "promises enough, what may be better is tried: both are ours.",
     ),
     Statement(
         "3",
