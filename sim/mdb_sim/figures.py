@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -261,20 +261,38 @@ def band(curves: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
     return values.mean(axis=0), low, high
 
 
-def _shade(axes: Axes, record: RunRecord, *, labelled: bool, above: float = 1.02) -> None:
+class Shown(Protocol):
+    """A phase as it is drawn: of a run, or of many runs alike."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def start(self) -> int: ...  # noqa: D102
+    @property
+    def stop(self) -> int: ...  # noqa: D102
+    @property
+    def teacher(self) -> str | None: ...  # noqa: D102
+
+
+def shade(axes: Axes, phases: Sequence[Shown], *, labelled: bool, above: float = 1.02) -> None:
     """Mark the phases: the background of a teacher, a line at each beginning, names above."""
-    teachers = list(dict.fromkeys(span.teacher for span in record.taught))
-    for span in record.spans:
-        if span.teacher is not None:
-            shade = TEACHER_SHADES[teachers.index(span.teacher) % len(TEACHER_SHADES)]
-            axes.axvspan(span.start, span.stop, facecolor=shade, linewidth=0, zorder=0)
-        if span.start > 0:
-            axes.axvline(span.start, color=MUTED, linewidth=0.8)
+    teachers = list(dict.fromkeys(phase.teacher for phase in phases if phase.teacher is not None))
+    for phase in phases:
+        if phase.teacher is not None:
+            colour = TEACHER_SHADES[teachers.index(phase.teacher) % len(TEACHER_SHADES)]
+            axes.axvspan(phase.start, phase.stop, facecolor=colour, linewidth=0, zorder=0)
+        if phase.start > 0:
+            axes.axvline(phase.start, color=MUTED, linewidth=0.8)
         if labelled:
             axes.text(
-                (span.start + span.stop) / 2, above, span.name, transform=axes.get_xaxis_transform(),
+                (phase.start + phase.stop) / 2, above, phase.name, transform=axes.get_xaxis_transform(),
                 ha="center", va="bottom", fontsize=9.5, color=INK,
             )  # fmt: skip
+
+
+def _shade(axes: Axes, record: RunRecord, *, labelled: bool, above: float = 1.02) -> None:
+    """Mark the phases of a run, and where it ended before its time."""
+    shade(axes, record.spans, labelled=labelled, above=above)
     axes.set_xlim(0, _end(record))
     if labelled and record.iterations < record.experiment.brain.experiment.iterations:
         axes.axvline(record.iterations, color=ORANGE, linewidth=1, linestyle=":")

@@ -106,8 +106,8 @@ class ContextDetector:
         if self.known:
             if self.suspected is None:
                 self._before = self.usual
-            usual = min(UNUSUAL * self._before + config.margin, max((self._before + CHANGED) / 2, self._before))
-            self._evidence = max(0.0, self._evidence + error - usual)
+            unusual = min(UNUSUAL * self._before + config.margin, max((self._before + CHANGED) / 2, self._before))
+            self._evidence = max(0.0, self._evidence + error - unusual)
             if self._evidence == 0:
                 self.suspected = None
             elif self.suspected is None:

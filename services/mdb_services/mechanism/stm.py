@@ -249,7 +249,7 @@ class ShortTermMemory(MemoryMirror):
 
     def labels(self, errors_now: NDArray[Any] | None = None) -> NDArray[np.float64]:
         """Return the label of each stored pair, in slot order."""
-        return self._labels(self._nearest(), errors_now)
+        return self._labels(None, errors_now)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all arrays from which `restore` continues identically."""
@@ -265,12 +265,17 @@ class ShortTermMemory(MemoryMirror):
         for slot in slots:
             self._measure(int(slot))
 
-    def _nearest(self) -> Floats:
-        """Return the squared distance (n,) of each pair to the nearest other, of those stored."""
+    def _nearest(self, newcomer: tuple[Floats, Floats] | None) -> Floats:
+        """Return the squared distance (n,) of each pair to the nearest other, the newcomer among them."""
         gaps = self._distances
         if self._outcome:
             gaps = gaps + self._outcome * self._outcomes
         nearest: Floats = gaps.min(axis=1)[self._used]
+        if newcomer is not None:
+            apart = _squared(self._inputs, newcomer[0])[self._used]
+            if self._outcome:
+                apart += self._outcome * _squared(self._targets, newcomer[1])[self._used]
+            nearest = np.minimum(nearest, apart)
         return nearest
 
     @property
@@ -279,23 +284,21 @@ class ShortTermMemory(MemoryMirror):
 
     def _lowest(self, row: Floats, target: Floats, errors_now: NDArray[Any] | None) -> int:
         """Return the slot of the pair that leaves when one with this row and target comes; of equals the oldest."""
-        gaps = _squared(self._inputs, row)[self._used]
-        if self._outcome:
-            gaps += self._outcome * _squared(self._targets, target)[self._used]
-        labels = self._labels(np.minimum(self._nearest(), gaps), errors_now)
+        labels = self._labels((row, target), errors_now)
         lowest = np.flatnonzero(labels == labels.min())
         slots = self.slots[lowest]
         return int(slots[np.argmin(self._orders[slots])])
 
-    def _labels(self, nearest: Floats, errors_now: NDArray[Any] | None) -> NDArray[np.float64]:
-        """Return the labels, given the squared distance (n,) of each pair to the nearest other."""
+    def _labels(self, newcomer: tuple[Floats, Floats] | None, errors_now: NDArray[Any] | None) -> NDArray[np.float64]:
+        """Return the labels when a pair of this row and target comes, or as they are."""
         config = self.config
         labels = np.zeros(len(self))
         if config.recency:
             orders = self._orders[self._used]
             labels += config.recency * _scaled((orders - orders.min(initial=self.version)).astype(np.float64))
         if config.distance:
-            labels += config.distance * _scaled(np.sqrt(nearest.astype(np.float64)))
+            nearest = self._nearest(newcomer).astype(np.float64)
+            labels += config.distance * _scaled(np.sqrt(nearest))
         if config.current_error and errors_now is not None:
             errors = _rows(errors_now, (len(self),), "errors now")
             labels += config.current_error * _scaled(errors.astype(np.float64))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mdb_sim import measures
-from mdb_sim.figures import BLUE, GREEN, INK, MUTED, ORANGE, TEACHER_SHADES, band, note, save
+from mdb_sim.figures import BLUE, GREEN, INK, MUTED, ORANGE, band, note, save, shade
 from mdb_sim.record import Floats
 from mdb_sim.report.acceptance import ALONE_WORST
 from mdb_sim.report.drawings import KINDS
@@ -47,8 +47,10 @@ def draw_errors(runs: Runs, stem: Path, kinds: Sequence[str] = KINDS) -> list[Pa
 
 def _fill_errors(runs: Runs, figure: Figure) -> None:
     panels: list[Axes] = list(figure.subplots(len(ERRORS), 1, sharex=True))
+    phases = phases_of(runs)
     for axes, (title, measure) in zip(panels, ERRORS, strict=True):
-        _shade(axes, phases_of(runs), labelled=axes is panels[0])
+        shade(axes, phases, labelled=axes is panels[0])
+        axes.set_xlim(0, phases[-1].stop)
         axes.axhline(measures.THRESHOLD, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
         axes.text(1.005, measures.THRESHOLD, "10 %", transform=axes.get_yaxis_transform(), va="center", color=INK)
         axes.set_title(title, pad=20 if axes is panels[0] else 5)
@@ -88,7 +90,8 @@ def draw_captures(runs: Runs, stem: Path, kinds: Sequence[str] = KINDS) -> list[
 def _fill_captures(runs: Runs, figure: Figure) -> None:
     axes: Axes = figure.subplots()
     phases = phases_of(runs)
-    _shade(axes, phases, labelled=True)
+    shade(axes, phases, labelled=True)
+    axes.set_xlim(0, phases[-1].stop)
     axes.set_title("Object captures", pad=22)
     axes.set_xlabel("Iteration")
     axes.set_ylabel("Captures since the beginning")
@@ -238,23 +241,6 @@ def _fill_seeds(runs: Runs, figure: Figure) -> None:
     panels[-1].set_xlabel("seed")
     panels[-1].locator_params(axis="x", integer=True)
     _title(figure, runs, "")
-
-
-def _shade(axes: Axes, phases: Sequence[PhaseRow], *, labelled: bool) -> None:
-    """Mark the phases: the background of a teacher, a line at each beginning, names above."""
-    teachers = list(dict.fromkeys(row.teacher for row in phases if not row.alone))
-    for row in phases:
-        if not row.alone:
-            shade = TEACHER_SHADES[teachers.index(row.teacher) % len(TEACHER_SHADES)]
-            axes.axvspan(row.start, row.stop, facecolor=shade, linewidth=0, zorder=0)
-        if row.start > 0:
-            axes.axvline(row.start, color=MUTED, linewidth=0.8)
-        if labelled:
-            axes.text(
-                (row.start + row.stop) / 2, 1.02, row.name, transform=axes.get_xaxis_transform(),
-                ha="center", va="bottom", fontsize=9.5, color=INK,
-            )  # fmt: skip
-    axes.set_xlim(0, phases[-1].stop)
 
 
 def _title(figure: Figure, runs: Runs, text: str) -> None:
