@@ -221,7 +221,8 @@ class Pair(Message, frozen=True, kw_only=True):
     """Action-perception pair (paper, section 2.1) of `iteration`; `versions`: the models acted upon.
 
     `teacher` gave the note; `judges` are the authors of the feedback, which is the mean of what they said. A pair
-    without feedback may come again with it, when it came late.
+    without feedback may come again with it, when it came late. `best` is the best feedback of late, by which praise
+    is measured; None: by full praise.
     """
 
     iteration: Iteration
@@ -233,11 +234,13 @@ class Pair(Message, frozen=True, kw_only=True):
     versions: Versions
     teacher: Name | None = None
     judges: Judges = []
+    best: Annotated[float, Meta(ge=-1, le=1)] | None = None
 
     def __post_init__(self) -> None:
         check_finite("before", self.before)
         check_finite("after", self.after)
         check_finite("feedback", self.feedback)
+        check_finite("best", self.best)
 
 
 class PairStored(Message, frozen=True, kw_only=True):
@@ -336,7 +339,8 @@ class Progress(Message, frozen=True, kw_only=True):
     """How far the memory store is, for an optimizer that begins: the pair of `iteration` is the next one.
 
     versions: each model's short-term memory; unjudged: the newest pairs without feedback; notes, actions and
-    iterations (n,): when each action was last taken under each note (-1: without one).
+    iterations (n,): when each action was last taken under each note (-1: without one); judged (m,) and given (m,):
+    the newest iterations with feedback, and their feedback.
     """
 
     iteration: Iteration
@@ -345,11 +349,15 @@ class Progress(Message, frozen=True, kw_only=True):
     notes: np.ndarray
     actions: np.ndarray
     iterations: np.ndarray
+    judged: np.ndarray
+    given: np.ndarray
 
     def __post_init__(self) -> None:
-        for name in ("notes", "actions", "iterations"):
+        for name in ("notes", "actions", "iterations", "judged"):
             check_array(name, getattr(self, name), "i", 1)
+        check_array("given", self.given, "f", 1)
         check_rows("tried", self.notes, self.actions, self.iterations)
+        check_rows("judged", self.judged, self.given)
 
 
 class RobotState(Message, frozen=True, kw_only=True):

@@ -87,6 +87,8 @@ class ModelSection(Section, frozen=True, kw_only=True):
     hidden: Annotated[tuple[Annotated[int, Meta(ge=1, le=512)], ...], Meta(min_length=1, max_length=4)]
     capacity: Annotated[int, Meta(ge=1, le=100_000)]
     """Pairs in its short-term memory."""
+    members: Annotated[int, Meta(ge=1, le=64)] = 1
+    """So many learners, each with these settings, learn it side by side; the current model is their mean."""
     learner: dict[str, Any] = {}
     evolution: dict[str, Any] = {}
     memory: dict[str, Any] = {}
@@ -120,6 +122,8 @@ class OptimizerSection(Section, frozen=True, kw_only=True):
     """Feedback that comes so many iterations late is still credited to the iteration it names, or that it is for."""
     most_late: Annotated[int, Meta(ge=0, le=20)] = 6
     """So many iterations late, at the most, is feedback that names no iteration, and less than the window."""
+    praise_window: Annotated[int, Meta(ge=0, le=1000)] = 30
+    """Praise is measured by the best of so many judged iterations; 0: by full praise, always."""
     word: Word = "first"
     """Of several teachers: "first", who comes first holds the word; "all", whoever speaks first each time."""
     lockstep_patience_s: Seconds = 60.0

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mdb_protocol import messages
+from mdb_services.facts import facts_of
 from mdb_services.mechanism.choice import Choice, Known
-from mdb_services.mechanism.encoding import Codebook, Facts, gather
+from mdb_services.mechanism.encoding import Codebook
 from mdb_services.mechanism.network import Network
 
 
@@ -77,10 +78,7 @@ def differs(done: messages.Action | None, wanted: messages.Action | None) -> boo
 
 def prequential(models: dict[str, Known], pair: messages.Pair) -> dict[str, float]:
     """Return each model's mean squared error on a pair that it has not learnt yet."""
-    facts: Facts = gather(
-        before=pair.before, after=pair.after, note=pair.note, action=pair.action, feedback=pair.feedback
-    )
-    errors = {}
+    facts, errors = facts_of(pair), {}
     for name, (codebook, network, _) in models.items():
         inputs, targets = codebook.input_rows(facts), codebook.target_rows(facts)
         if inputs is not None and targets is not None:

@@ -41,9 +41,10 @@ def compile_kernels() -> None:
 
 
 def _learner_of(config: BrainConfig, model: str, shape: Shape) -> Learner:
-    name, settings = config.learner_of(config.model_named(model))
+    section = config.model_named(model)
+    name, settings = config.learner_of(section)
     try:
-        return make_learner(name, shape, settings, config.experiment.seed, f"{ROLE}/{model}")
+        return make_learner(name, shape, settings, config.experiment.seed, f"{ROLE}/{model}", members=section.members)
     except ModuleNotFoundError as error:
         raise ConfigError(str(error)) from error
 

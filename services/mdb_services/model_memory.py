@@ -15,8 +15,9 @@ import numpy as np
 
 from mdb_protocol import messages
 from mdb_services.config import BrainConfig, ModelSection
+from mdb_services.facts import facts_of
 from mdb_services.mechanism.context import ContextDetector
-from mdb_services.mechanism.encoding import Codebook, gather
+from mdb_services.mechanism.encoding import Codebook
 from mdb_services.mechanism.ltm import LongTermMemory, Stability, Stored, Trial, sample_of
 from mdb_services.mechanism.network import Floats, Network
 from mdb_services.mechanism.stm import Change, MemoryConfig, ShortTermMemory
@@ -119,9 +120,7 @@ class ModelMemory:
         return replace(self._relevance, outcome=told_apart * self._relevance.outcome)
 
     def _rows(self, pair: messages.Pair) -> Rows | None:
-        facts = gather(
-            before=pair.before, after=pair.after, note=pair.note, action=pair.action, feedback=pair.feedback
-        )
+        facts = facts_of(pair)
         inputs, targets = self.codebook.input_rows(facts), self.codebook.target_rows(facts)
         return None if inputs is None or targets is None else (inputs, targets)
 

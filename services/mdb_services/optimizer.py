@@ -28,6 +28,7 @@ from mdb_services.elsewhere import Elsewhere
 from mdb_services.mechanism import streams
 from mdb_services.mechanism.choice import Choice, choose
 from mdb_services.mechanism.encoding import Codebook, gather
+from mdb_services.mechanism.praise import Praise
 from mdb_services.teachers import KEPT_AHEAD, Teachers
 from mdb_services.unnamed import Unnamed
 
@@ -80,6 +81,7 @@ class Optimizer:
         self._elsewhere = Elsewhere()
         self._teachers = Teachers(config.optimizer.word, config.optimizer.feedback_window)
         self._unnamed = Unnamed(config)
+        self._praise = Praise(config.optimizer.praise_window)
         self._unjudged: dict[int, messages.Pair] = {}
         """The pairs within `feedback_window` that have no feedback yet."""
         self._stamp = 0.0
@@ -137,6 +139,7 @@ class Optimizer:
             if 0 <= action < self._settings.actions:
                 self._tried[note if note >= 0 else None][action] = iteration
         self._unjudged = {pair.iteration: pair for pair in progress.unjudged}
+        self._praise.restore(dict(zip(progress.judged.tolist(), progress.given.tolist(), strict=True)))
         for pair in progress.unjudged:
             self._unnamed.remember(pair)
         if progress.iteration:
@@ -212,7 +215,8 @@ class Optimizer:
             value, judges = self._teachers.verdict(pair.iteration, pair.teacher)
             if value is not None:
                 del self._unjudged[pair.iteration]
-                self._send_pair(msgspec.structs.replace(pair, feedback=value, judges=judges))
+                best = self._praise.best(pair.iteration, value)
+                self._send_pair(msgspec.structs.replace(pair, feedback=value, judges=judges, best=best))
 
     def _perceive(self, perception: messages.Perception) -> None:
         """Take the outcome of the action, or begin where the robot is when it is further than that.
@@ -399,6 +403,7 @@ class Optimizer:
             versions=cycle.versions,
             teacher=cycle.teacher,
             judges=judges,
+            best=None if value is None else self._praise.best(iteration, value),
         )
         self._report(cycle, pair)  # before the pair: of what is stored the report is out
         self._send_pair(pair)
@@ -421,6 +426,7 @@ class Optimizer:
         self._unnamed.remember(pair)
         oldest = self._next - self._settings.feedback_window
         self._unjudged = {i: kept for i, kept in self._unjudged.items() if i >= oldest}
+        self._praise.forget(oldest)
         self._teachers.forget(before=self._next, feedback_before=oldest)
 
     def _report(self, cycle: Cycle, pair: messages.Pair) -> None:

@@ -197,7 +197,8 @@ class LearnerConformance:
         damaged = [{name: array for name, array in state.items() if name != lacking} for lacking in state]
         damaged += [state | {name: array[..., None]} for name, array in state.items()]
         damaged += [state | {name: array.astype(np.complex64)} for name, array in state.items()]
-        damaged += [state | {"weights": state["weights"] * np.float32("nan")}, self.make(DEEP).state(), {}]
+        weights = next(name for name in state if name.endswith("weights"))
+        damaged += [state | {weights: state[weights] * np.float32("nan")}, self.make(DEEP).state(), {}]
         damaged += [state | {"clock": np.array([1, -1])}]
         for wrong in damaged:
             with pytest.raises(ValueError, match="start afresh"):

@@ -45,6 +45,27 @@ class TestRidge(NamedLearner):
     learner = "ridge"
 
 
+class CommitteeOf(LearnerConformance):
+    """The suite for a committee of three."""
+
+    learner = ""
+
+    def make(self, shape, seed=5, name="evolver/communication"):
+        return make_learner(self.learner, shape, LEARNER_CONFIGS[self.learner](), seed, name, members=3)
+
+
+class TestCommitteeOfPromoterGAs(CommitteeOf):
+    learner = "pbga"
+
+
+class TestCommitteeOfAdams(CommitteeOf):
+    learner = "adam"
+
+
+class TestCommitteeOfRidges(CommitteeOf):
+    learner = "ridge"
+
+
 def test_every_learner_has_settings_and_runs_the_suite():
     assert LEARNERS.keys() == LEARNER_CONFIGS.keys() == {suite.learner for suite in NamedLearner.__subclasses__()}
 

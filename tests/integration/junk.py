@@ -54,7 +54,16 @@ GIVEN: tuple[Message, ...] = (
     MODEL,
     messages.Checkpoint(model="object", version=FAR, generation=1, state={"a": ROW}, memory=SNAPSHOT),
     messages.Resume(model="object", checkpoint=None, changes=[], memory=SNAPSHOT),
-    messages.Progress(iteration=0, versions={}, unjudged=[PAIR], notes=ONE, actions=ONE, iterations=ONE),
+    messages.Progress(
+        iteration=0,
+        versions={},
+        unjudged=[PAIR],
+        notes=ONE,
+        actions=ONE,
+        iterations=ONE,
+        judged=ONE,
+        given=ONE.astype(float),
+    ),
     messages.IterationReport(
         iteration=0, mode="junk", action=1, explored=False, predicted=0.5, note=1, feedback=0.5, event="none",
         prequential={"junk": 0.5}, versions={},

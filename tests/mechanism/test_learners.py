@@ -1,14 +1,18 @@
 """What is particular to single learners; what all must do is in tests/conformance."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mdb_services.mechanism.learners import make_learner
 from mdb_services.mechanism.learners.adam import gradient
-from mdb_services.mechanism.network import Shape
-from mdb_services.mechanism.settings import LEARNER_CONFIGS, CmaConfig, EvolutionConfig, RidgeConfig
+from mdb_services.mechanism.learners.committee import Committee, mean, parts
+from mdb_services.mechanism.network import Network, Shape
+from mdb_services.mechanism.settings import LEARNER_CONFIGS, AdamConfig, CmaConfig, EvolutionConfig, RidgeConfig
 
 SHAPE = Shape(2, (3,), 1)
 
@@ -75,6 +79,62 @@ def test_seeds_wait_for_one_memory_only(name: str) -> None:
     assert len(learner.state()["waiting"]) == 2
     learner.learn(*rows(5), version=1, generations=0)
     assert len(learner.state()["waiting"]) == 0
+
+
+def some_networks(room: Shape, hidden: list[tuple[int, ...]], seed: int) -> list[Network]:
+    random = np.random.default_rng(seed)
+    sizes = [(room.inputs, *units, room.outputs) for units in hidden]
+    return [Network([random.normal(size=(b, a + 1)) for a, b in pairwise(layers)]) for layers in sizes]
+
+
+@pytest.mark.parametrize(
+    ("room", "hidden"),
+    [
+        (Shape(2, (3,), 1), [(3,), (1,), (0,)]),
+        (Shape(3, (4, 2), 2), [(4, 2), (3, 1), (1, 2), (4, 2)]),
+        (Shape(1, (2, 3, 2), 2), [(2, 3, 1), (1, 2, 2)]),
+    ],
+)
+@given(seed=st.integers(0, 1000))
+def test_the_mean_of_networks_is_a_network_and_can_be_taken_apart(
+    room: Shape, hidden: list[tuple[int, ...]], seed: int
+) -> None:
+    networks = some_networks(room, hidden, seed)
+    inputs = np.random.default_rng(seed).uniform(-1, 1, (20, room.inputs)).astype(np.float32)
+    whole = mean(networks, room)
+    assert whole.sizes == Committee([make_learner("adam", room, AdamConfig(), 0, "")] * len(networks), 0, "").shape.sizes
+    expected = np.mean([network.sums(inputs) for network in networks], axis=0)
+    np.testing.assert_allclose(whole.sums(inputs), expected, atol=1e-5)
+    for part, network in zip(parts(whole, len(networks)), networks, strict=True):
+        np.testing.assert_allclose(part.sums(inputs), network.sums(inputs), atol=1e-4)
+        assert part.expressed <= network.expressed
+
+
+def test_a_committee_that_was_reported_comes_back_as_a_seed_and_stays_until_the_mean_is_better() -> None:
+    known, other = rows(40), (rows(40)[0], -rows(40)[1])
+    first, second = (make_learner("pbga", SHAPE, EvolutionConfig(), seed, "object", members=3) for seed in (5, 6))
+    for version in range(60):
+        best = first.learn(*known, version=version)
+        second.learn(*other, version=version)
+    second.seed([best.network])
+    assert second.learn(*known, version=60, generations=0).error == pytest.approx(best.error, rel=1e-4)
+    errors = [second.learn(*known, version=version).error for version in range(61, 130)]
+    assert max(errors) <= best.error * 1.001
+    assert len(second.state()["waiting"]) == 0 and errors[-1] < best.error
+
+
+def test_a_committee_errs_less_than_its_members_where_nothing_was_learnt() -> None:
+    elsewhere = np.random.default_rng(1).uniform(-1, 1, (500, 2)).astype(np.float32)
+    truth = np.sin(elsewhere.sum(axis=1, keepdims=True))
+    ratios = []
+    for seed in range(8):
+        few = rows(12, seed)
+        learners = [make_learner("pbga", SHAPE, EvolutionConfig(), seed, "object", members=n) for n in (1, 7)]
+        for version in range(40):
+            networks = [learner.learn(*few, version=version).network for learner in learners]
+        alone, together = (np.mean((network.predict(elsewhere) - truth) ** 2) for network in networks)
+        ratios.append(together / alone)
+    assert np.median(ratios) < 0.9
 
 
 @pytest.mark.parametrize("name", ["pbga", "ga", "de"])

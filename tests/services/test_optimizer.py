@@ -22,6 +22,7 @@ def progress(iteration: int = 0, **fields: Any) -> messages.Progress:
     """What a memory store says that has the pairs before `iteration`."""
     none = np.array([], np.int64)
     plain = {"versions": {}, "unjudged": [], "notes": none, "actions": none, "iterations": none}
+    plain |= {"judged": none, "given": none.astype(float)}
     return messages.Progress(iteration=iteration, **(plain | fields))
 
 
@@ -103,7 +104,7 @@ def test_a_full_cycle_gives_the_action_the_pair_and_the_report() -> None:
     (pair,) = rig.said(keys.PAIR)
     assert pair == messages.Pair(
         iteration=0, before={"distance": 1.5}, note=2, action=action.action, after={"distance": 1.2}, feedback=-0.5,
-        versions={"communication": 3}, teacher="anna", judges=["anna"],
+        versions={"communication": 3}, teacher="anna", judges=["anna"], best=1.0,
     )  # fmt: skip
     (report,) = rig.said(keys.ITERATION)
     assert (report.iteration, report.mode, report.note, report.feedback) == (0, "taught", 2, -0.5)
@@ -675,7 +676,7 @@ def test_an_optimizer_that_died_with_its_action_done_forms_the_pair_that_was_mea
     (pair,) = rig.said(keys.PAIR)
     assert pair == messages.Pair(
         iteration=0, before={"distance": 1.5}, note=2, action=action.action, after={"distance": 1.2}, feedback=-0.5,
-        versions={"communication": 3}, teacher="anna", judges=["anna"],
+        versions={"communication": 3}, teacher="anna", judges=["anna"], best=1.0,
     )  # fmt: skip
     (report,) = rig.said(keys.ITERATION)
     assert (report.mode, report.predicted, report.holder) == ("taught", action.intention.predicted, "anna")
@@ -714,6 +715,27 @@ def test_late_feedback_finds_its_pair_after_a_restart() -> None:
     rig.sense(5)
     rig.command(5)
     assert [judged(pair) for pair in rig.said(keys.PAIR)] == [(4, 0.5, ["anna"])]
+
+
+def test_praise_is_measured_by_the_best_of_late_also_after_a_restart() -> None:
+    rig = Rig(config(optimizer=OPTIMIZER | {"praise_window": 3}))
+    for i, value in enumerate((0.5, -0.2, 0.4, 0.2, 0.1)):
+        rig.sense(i)
+        rig.command(i)
+        rig.sense(i + 1)
+        rig.reward(i, value)
+    pairs = rig.said(keys.PAIR)
+    assert [(pair.feedback, pair.best) for pair in pairs] == [
+        (0.5, 1.0), (-0.2, 1.0), (0.4, 0.5), (0.2, 0.4), (0.1, 0.4),
+    ]  # fmt: skip
+    judged = np.array([pair.iteration for pair in pairs[:4]])
+    rig.progress = progress(4, judged=judged, given=np.array([pair.feedback for pair in pairs[:4]]))
+    rig.start()
+    rig.sense(4)
+    rig.command(4)
+    rig.sense(5)
+    rig.reward(4, 0.1)
+    assert [(pair.iteration, pair.best) for pair in rig.said(keys.PAIR)] == [(4, 0.4)]
 
 
 def test_what_was_tried_is_known_after_a_restart() -> None:

@@ -80,7 +80,7 @@ class Learner(ABC):
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continue from what `state` gave; raises ValueError when it is damaged or of another learner."""
-        own = self.state()
+        own = Learner.state(self)
         missing = sorted(own.keys() - state.keys())
         if missing:
             raise ValueError(f"state lacks {', '.join(map(repr, missing))}: it is not of this learner, start afresh")

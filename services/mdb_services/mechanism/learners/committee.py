@@ -1,0 +1,153 @@
+"""A committee: learners of one kind side by side, each with random numbers of its own; its network is their mean.
+
+Networks that fit a memory alike err in different places, most of all where pairs are few; their mean errs less
+(Hansen and Salamon, "Neural network ensembles", 1990). The mean of their sums is one network again, in which the
+units of all members stand side by side, so that whoever uses a current model need not know of it. Ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdb_services.mechanism import streams
+from mdb_services.mechanism.learners.contract import Arrays, Learner
+from mdb_services.mechanism.network import Floats, Network, Shape
+
+ON = 20.0
+"""The hyperbolic tangent of this is 1 in single precision."""
+
+
+class Committee(Learner):
+    """See the module's docstring. Its shape is that of `mean`.
+
+    A network of that very shape, as a committee reports it, is a seed for its members part by part, and is reported
+    itself as long as it is better than their mean; a network that fits one member is a seed for each of them.
+    """
+
+    arrays: ClassVar = ("waiting",)
+    lists: ClassVar = ("waiting",)
+
+    def __init__(self, members: Sequence[Learner], seed: int, name: str) -> None:
+        """Take the members, one at least, all of one shape; and the stream (seed, name)."""
+        self._room = members[0].shape
+        *first, last = self._room.hidden
+        hidden = tuple(units * len(members) for units in (*first, last + 1))
+        super().__init__(Shape(self._room.inputs, hidden, self._room.outputs), members[0].generations, seed, name)
+        self._members = tuple(members)
+        self._waiting = np.zeros((0, self.shape.weights), np.float32)
+        """Seeds (n, weights) that are better than the mean, or were not measured yet; the best is first."""
+
+    def _learn(self, inputs: Floats, targets: Floats, key: int, generations: range) -> None:
+        for place, member in enumerate(self._members):
+            member._learn(inputs, targets, streams.key(key, f"member {place}"), generations)
+        limit = _error(self._mean(), inputs, targets)
+        errors = [_error(seed, inputs, targets) for seed in self._seeds()]
+        self._waiting = self._waiting[[place for place in np.argsort(errors) if errors[place] < limit]]
+
+    def _mean(self) -> Network:
+        return mean([member._best() for member in self._members], self._room)
+
+    def _seeds(self) -> list[Network]:
+        return [Network.from_arrays(self.shape.sizes, weights) for weights in self._waiting]
+
+    def _best(self) -> Network:
+        return next(iter(self._seeds()), self._mean())
+
+    def _check_fits(self, network: Network) -> None:
+        if network.sizes != self.shape.sizes:
+            self._members[0]._check_fits(network)
+
+    def _seed(self, networks: Sequence[Network]) -> None:
+        whole = [network for network in networks if network.sizes == self.shape.sizes]
+        weights = [network.to_arrays()[1] for network in whole]
+        self._waiting = np.concatenate([self._waiting, np.array(weights, np.float32).reshape(-1, self.shape.weights)])
+        split = [parts(network, len(self._members)) for network in whole]
+        small = [network for network in networks if network.sizes != self.shape.sizes]
+        for place, member in enumerate(self._members):
+            member.seed([*(network[place] for network in split), *small])
+
+    def state(self) -> Arrays:
+        """Return copies of all arrays, those of a member under its place and a dot."""
+        of = {f"{place}.{name}": array for place, m in enumerate(self._members) for name, array in m.state().items()}
+        return super().state() | of
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """See `Learner`; what one member refuses, all refuse."""
+        before = [member.state() for member in self._members]
+        try:
+            for place, member in enumerate(self._members):
+                start = f"{place}."
+                member.restore({name[len(start) :]: state[name] for name in state if name.startswith(start)})
+            super().restore(state)
+        except ValueError:
+            for member, arrays in zip(self._members, before, strict=True):
+                member.restore(arrays)
+            raise
+
+
+def _error(network: Network, inputs: Floats, targets: Floats) -> float:
+    return float(np.mean(np.square(network.predict(inputs) - targets), dtype=np.float64))
+
+
+def mean(networks: Sequence[Network], room: Shape) -> Network:
+    """Return the network whose sums are the mean of those of `networks`; each takes as much room as `room` says.
+
+    Each has one unit more in its last hidden layer, which is always on and carries the biases of its outputs: so the
+    mean can be taken apart again.
+    """
+    columns = zip(*(_padded(network, room) for network in networks), strict=True)
+    layers = []
+    for depth, matrices in enumerate(columns):
+        weights, biases = [matrix[:, :-1] for matrix in matrices], [matrix[:, -1:] for matrix in matrices]
+        if depth == len(room.hidden):
+            layers.append(np.hstack([*weights, biases[0]]) / np.float32(len(networks)))
+        else:
+            inwards = np.vstack(weights) if depth == 0 else _block_diagonal(weights)
+            layers.append(np.hstack([inwards, np.vstack(biases)]))
+    return Network(layers)
+
+
+def parts(network: Network, count: int) -> list[Network]:
+    """Return the networks of which this one is the `mean`, without the units that send nothing to anything."""
+    found = []
+    for place in range(count):
+        layers = []
+        for depth, matrix in enumerate(network.layers[:-1]):
+            rows = np.split(matrix, count)[place]
+            weights = rows[:, :-1] if depth == 0 else np.split(rows[:, :-1], count, axis=1)[place]
+            layers.append(np.hstack([weights, rows[:, -1:]]))
+        layers[-1] = layers[-1][:-1]
+        layers.append(np.split(network.layers[-1][:, :-1], count, axis=1)[place] * np.float32(count))
+        found.append(Network(_without_idle(layers)))
+    return found
+
+
+def _padded(network: Network, room: Shape) -> list[Floats]:
+    """Return a network's layers with idle units up to the shape `room`, and the unit that is always on."""
+    full = [np.zeros((after, before + 1), np.float32) for before, after in pairwise(room.sizes)]
+    for own, place in zip(network.layers, full, strict=True):
+        place[: len(own), : own.shape[1] - 1], place[: len(own), -1] = own[:, :-1], own[:, -1]
+    always = np.zeros((1, full[-2].shape[1]), np.float32)
+    always[0, -1] = ON
+    return [*full[:-2], np.vstack([full[-2], always]), np.hstack([full[-1], np.zeros((room.outputs, 1), np.float32)])]
+
+
+def _without_idle(layers: list[Floats]) -> list[Floats]:
+    for depth in range(len(layers) - 2, -1, -1):
+        sends = layers[depth + 1][:, :-1].any(axis=0)
+        layers[depth] = layers[depth][sends]
+        layers[depth + 1] = layers[depth + 1][:, np.append(sends, True)]
+    return layers
+
+
+def _block_diagonal(blocks: Sequence[Floats]) -> Floats:
+    rows, columns = blocks[0].shape
+    whole = np.zeros((rows * len(blocks), columns * len(blocks)), np.float32)
+    for place, block in enumerate(blocks):
+        whole[place * rows : (place + 1) * rows, place * columns : (place + 1) * columns] = block
+    return whole
