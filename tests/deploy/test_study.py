@@ -83,6 +83,10 @@ def other_experiment(path: Path, **sections: Any) -> Path:
 def test_variants_of_the_ablation_take_one_ingredient_away_each() -> None:
     fifo = [f"model.{name}.memory={{recency=1.0}}" for name in ("communication", "object", "induced")]
     smaller = [f"model.{name}.capacity={n}" for name, n in (("communication", 50), ("object", 100), ("induced", 100))]
+    populations = ("object", 200), ("induced", 192)
+    alone = [
+        f"model.{name}.{setting}" for name, n in populations for setting in ("members=1", f"evolution.population={n}")
+    ]
     taught = 'name="taught", world="communication", satisfaction="feedback", aspiration=0.8, exploration=0.5'
     induced = 'name="induced", world="object", satisfaction="induced", exploration=0.0'
     assert variants_of("ablation", Experiment.read(PAPER)) == {
@@ -92,6 +96,7 @@ def test_variants_of_the_ablation_take_one_ingredient_away_each() -> None:
         "no context detection": ("context.enabled=false",),
         "FIFO only": (*fifo, "context.enabled=false"),
         "punishments not kept": ("model.induced.memory.outcome=0",),
+        "no committees": tuple(alone),
         "no support": (f"mode=[{{{taught}, curiosity=0.5}}, {{{induced}, curiosity=0.0}}]",),
         "no aspiration": ("mode.taught.exploration=0", "mode.taught.curiosity=0"),
         "scalar note": ("channels.note={low=0, high=6}",),
@@ -136,7 +141,7 @@ def test_a_file_without_an_ingredient_has_no_such_variant(tmp_path: Path) -> Non
     bare = (*believing, "memory={}", "context.enabled=false", "mode.heard.exploration=0")
     variants = tables.VARIANTS["ablation"](Experiment.read(path, bare))
     assert [variant.name for variant in variants if not variant.applies] == [
-        "no context detection", "FIFO only", "punishments not kept", "no support", "no aspiration", "scalar note",
+        "no context detection", "FIFO only", "punishments not kept", "no committees", "no support", "no aspiration", "scalar note",
     ]  # fmt: skip
 
 
@@ -153,7 +158,10 @@ def test_the_paper_as_written_lacks_every_addition_and_each_comes_back_alone() -
         "written + notes without order"
     ]
     of_paper = tables.VARIANTS["paper"](Experiment.read(PAPER))
-    assert [v.name for v in of_paper if not v.applies] == ["written + punishments kept"], "nothing without a distance"
+    assert [v.name for v in of_paper if not v.applies] == [
+        "written + punishments kept",
+        "written + praise by the best of late",
+    ], "nothing without the rest"
     for name, away in tables.ADDITIONS:
         taken = away(Experiment.read(PAPER).brain)
         assert variants[f"shipped - {name}"] == taken

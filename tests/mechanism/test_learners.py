@@ -102,7 +102,9 @@ def test_the_mean_of_networks_is_a_network_and_can_be_taken_apart(
     networks = some_networks(room, hidden, seed)
     inputs = np.random.default_rng(seed).uniform(-1, 1, (20, room.inputs)).astype(np.float32)
     whole = mean(networks, room)
-    assert whole.sizes == Committee([make_learner("adam", room, AdamConfig(), 0, "")] * len(networks), 0, "").shape.sizes
+    assert (
+        whole.sizes == Committee([make_learner("adam", room, AdamConfig(), 0, "")] * len(networks), 0, "").shape.sizes
+    )
     expected = np.mean([network.sums(inputs) for network in networks], axis=0)
     np.testing.assert_allclose(whole.sums(inputs), expected, atol=1e-5)
     for part, network in zip(parts(whole, len(networks)), networks, strict=True):

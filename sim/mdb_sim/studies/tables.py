@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import msgspec
 
 from mdb_services.config import BrainConfig
+from mdb_services.mechanism.settings import EvolutionConfig
 from mdb_services.mechanism.stm import MemoryConfig
 from mdb_sim.experiment import Experiment
 from mdb_sim.studies.catalogue import ACCEPTANCE, PHASE, Study
@@ -54,6 +55,18 @@ def without_promoters(brain: BrainConfig) -> Overrides:
     """Return what makes the promoter-based learner a plain one."""
     evolved = [model for model in brain.model if brain.learner_of(model)[0] == PROMOTERS]
     return _where({model.name: "name" in model.learner for model in evolved}, "learner.name=ga")
+
+
+def without_committees(brain: BrainConfig) -> Overrides:
+    """Return one learner a model, with the population of all members together."""
+    overrides = []
+    for model in brain.model:
+        settings = brain.learner_of(model)[1]
+        if model.members > 1:
+            overrides.append(f"model.{model.name}.members=1")
+            if isinstance(settings, EvolutionConfig):
+                overrides.append(f"model.{model.name}.evolution.population={settings.population * model.members}")
+    return tuple(overrides)
 
 
 def without_long_term(brain: BrainConfig) -> Overrides:
@@ -104,6 +117,11 @@ def without_aspiration(brain: BrainConfig) -> Overrides:
     return tuple(f"mode.{mode}.{name}=0" for mode, name in exploring)
 
 
+def praise_as_given(brain: BrainConfig) -> Overrides:
+    """Return what makes praise count as it was given, however much it fades."""
+    return ("optimizer.praise_window=0",) if brain.optimizer.praise_window else ()
+
+
 def scalar_note(brain: BrainConfig) -> Overrides:
     """Return what makes the note one number."""
     notes = brain.variables()["note"].indices if "note" in brain.channels else None
@@ -126,8 +144,9 @@ def smaller_memories(brain: BrainConfig) -> Overrides:
 
 
 def learner(brain: BrainConfig, name: str) -> Overrides:
-    """Return what makes every model learn by this learner."""
-    return _where({model.name: bool(model.learner) for model in brain.model}, f'learner={{name="{name}"}}')
+    """Return what makes every model learn by one such learner."""
+    own = {model.name: bool(model.learner) for model in brain.model}
+    return without_committees(brain) + _where(own, f'learner={{name="{name}"}}')
 
 
 def _where(own: Mapping[str, bool], override: str) -> Overrides:
@@ -169,13 +188,17 @@ def phases(who: Sequence[str | None], iterations: int) -> Overrides:
 # ---- the tables ----
 
 PUNISHMENTS = "punishments kept"
-"""Part of the memory by relevance: alone it does nothing."""
+PRAISE = "praise by the best of late"
+DEPENDENT = (PUNISHMENTS, PRAISE)
+"""What alone does nothing: part of the memory by relevance, and what matters only where praise fades."""
 ADDITIONS: tuple[tuple[str, Callable[[BrainConfig], Overrides]], ...] = (
     ("notes without order", scalar_note),
     ("actions in the actuators' order", listed_actions),
     ("memory by relevance", first_in_first_out),
     (PUNISHMENTS, punishments_not_kept),
     ("detector of changes", without_context),
+    ("committees", without_committees),
+    (PRAISE, praise_as_given),
     ("support", without_support),
     ("aspiration", without_aspiration),
     ("long-term memory", without_long_term),
@@ -200,13 +223,15 @@ def paper(experiment: Experiment) -> list[Variant]:
         return tuple(override for name, away in without.items() if name not in kept for override in away)
 
     found = [Variant(AS_SHIPPED), Variant(AS_WRITTEN, but(()))]
-    alone = {name: bool(away) and name != PUNISHMENTS for name, away in without.items()}
+    alone = {name: bool(away) and name not in DEPENDENT for name, away in without.items()}
     found += [Variant(f"written + {name}", but((name,)), applies=applies) for name, applies in alone.items()]
     return found + [Variant(f"shipped - {name}", away, applies=bool(away)) for name, away in without.items()]
 
 
 KNOWS = "knows the language"
 """A player who obeys each note as it sounds."""
+AS_GIVEN = "counted as given"
+"""Praise that the brain does not measure by the best of late."""
 Setting = str | float | bool
 TEACHERS: tuple[tuple[str, dict[str, Setting]], ...] = (
     ("30 % judged", {"judged": 0.3}),
@@ -233,6 +258,11 @@ def teachers(experiment: Experiment) -> list[Variant]:
         if "wrong_notes" in settings:
             # Nobody can do what was meant where another note sounds: the bound is lower than the ideal.
             found.append(Variant(f"{name}: {KNOWS}", taught(experiment, **settings), player="obedient"))
+        if {"praise_half_life", "relative"} & settings.keys():
+            given = praise_as_given(experiment.brain)
+            found.append(
+                Variant(f"{name}: {AS_GIVEN}", (*taught(experiment, **settings), *given), applies=bool(given))
+            )
     return found
 
 
@@ -284,6 +314,7 @@ def ablation(experiment: Experiment) -> list[Variant]:
         "no context detection": without_context(brain),
         "FIFO only": (*first_in_first_out(brain), *without_context(brain)),
         "punishments not kept": punishments_not_kept(brain),
+        "no committees": without_committees(brain),
         "no support": without_support(brain),
         "no aspiration": without_aspiration(brain),
         "scalar note": scalar_note(brain),
