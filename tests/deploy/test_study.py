@@ -141,7 +141,8 @@ def test_a_file_without_an_ingredient_has_no_such_variant(tmp_path: Path) -> Non
     bare = (*believing, "memory={}", "context.enabled=false", "mode.heard.exploration=0")
     variants = tables.VARIANTS["ablation"](Experiment.read(path, bare))
     assert [variant.name for variant in variants if not variant.applies] == [
-        "no context detection", "FIFO only", "punishments not kept", "no committees", "no support", "no aspiration", "scalar note",
+        "no context detection", "FIFO only", "punishments not kept", "no committees", "no support", "no aspiration",
+        "scalar note",
     ]  # fmt: skip
 
 

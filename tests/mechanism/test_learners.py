@@ -122,7 +122,8 @@ def test_a_committee_that_was_reported_comes_back_as_a_seed_and_stays_until_the_
     assert second.learn(*known, version=60, generations=0).error == pytest.approx(best.error, rel=1e-4)
     errors = [second.learn(*known, version=version).error for version in range(61, 130)]
     assert max(errors) <= best.error * 1.001
-    assert len(second.state()["waiting"]) == 0 and errors[-1] < best.error
+    assert len(second.state()["waiting"]) == 0
+    assert errors[-1] < best.error
 
 
 def test_a_committee_errs_less_than_its_members_where_nothing_was_learnt() -> None:

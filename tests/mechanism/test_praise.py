@@ -5,6 +5,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from mdb_services.mechanism.praise import FAINT, LONG_AGO, Praise, worth
 
 feedback = st.floats(-1, 1)
