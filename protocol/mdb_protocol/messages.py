@@ -338,26 +338,22 @@ class Resume(Message, frozen=True, kw_only=True):
 class Progress(Message, frozen=True, kw_only=True):
     """How far the memory store is, for an optimizer that begins: the pair of `iteration` is the next one.
 
-    versions: each model's short-term memory; unjudged: the newest pairs without feedback; notes, actions and
-    iterations (n,): when each action was last taken under each note (-1: without one); judged (m,) and given (m,):
-    the newest iterations with feedback, and their feedback.
+    versions: each model's short-term memory; unjudged, judged: the newest pairs without feedback and with it; notes,
+    actions and iterations (n,): when each action was last taken under each note (-1: without one).
     """
 
     iteration: Iteration
     versions: Versions
     unjudged: list[Pair]
+    judged: list[Pair]
     notes: np.ndarray
     actions: np.ndarray
     iterations: np.ndarray
-    judged: np.ndarray
-    given: np.ndarray
 
     def __post_init__(self) -> None:
-        for name in ("notes", "actions", "iterations", "judged"):
+        for name in ("notes", "actions", "iterations"):
             check_array(name, getattr(self, name), "i", 1)
-        check_array("given", self.given, "f", 1)
         check_rows("tried", self.notes, self.actions, self.iterations)
-        check_rows("judged", self.judged, self.given)
 
 
 class RobotState(Message, frozen=True, kw_only=True):

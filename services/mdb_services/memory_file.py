@@ -9,7 +9,6 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -201,19 +200,11 @@ class MemoryFile:
         row = self._db.execute("SELECT payload FROM pair WHERE iteration = ?", (iteration,)).fetchone()
         return codec.decode(messages.Pair, row[0], codec.encoding_of(messages.Pair)) if row else None
 
-    def unjudged(self, newest: int) -> list[messages.Pair]:
-        """Return those of the `newest` pairs that have no feedback, in order."""
-        rows = self._db.execute("SELECT payload FROM pair ORDER BY iteration DESC LIMIT ?", (newest,)).fetchall()
+    def newest(self, count: int) -> list[messages.Pair]:
+        """Return the newest pairs, in order."""
+        rows = self._db.execute("SELECT payload FROM pair ORDER BY iteration DESC LIMIT ?", (count,)).fetchall()
         encoding = codec.encoding_of(messages.Pair)
-        pairs = (codec.decode(messages.Pair, payload, encoding) for (payload,) in reversed(rows))
-        return [pair for pair in pairs if pair.feedback is None]
-
-    def judged(self, most: int, newest: int) -> list[tuple[int, float]]:
-        """Return iteration and feedback of up to `most` pairs with feedback, the newest, among the `newest` pairs."""
-        rows = self._db.execute("SELECT payload FROM pair ORDER BY iteration DESC LIMIT ?", (newest,))
-        encoding = codec.encoding_of(messages.Pair)
-        pairs = (codec.decode(messages.Pair, payload, encoding) for (payload,) in rows)
-        return list(islice(((p.iteration, p.feedback) for p in pairs if p.feedback is not None), most))
+        return [codec.decode(messages.Pair, payload, encoding) for (payload,) in reversed(rows)]
 
     def next_iteration(self) -> int:
         """Return the iteration after that of the last pair; 0 without one."""

@@ -21,7 +21,7 @@ from mdb_protocol.errors import DecodeError
 from mdb_services.config import BrainConfig
 from mdb_services.elsewhere import Elsewhere
 from mdb_services.mechanism.network import Network
-from mdb_services.mechanism.praise import LONG_AGO
+from mdb_services.mechanism.praise import LATELY
 from mdb_services.memory_file import Effects, MemoryFile
 from mdb_services.model_memory import ModelMemory
 
@@ -177,17 +177,16 @@ class MemoryStore:
 
     def _progress(self) -> messages.Progress:
         notes, actions, iterations = np.array(self._file.tried(), dtype=np.int64).reshape(-1, 3).T
-        settings = self._config.optimizer
-        judged = self._file.judged(settings.praise_window + settings.feedback_window, newest=LONG_AGO)
+        window = self._config.optimizer.feedback_window
+        newest = self._file.newest(window + LATELY)
         return messages.Progress(
             iteration=self._file.next_iteration(),
             versions={name: memory.stm.version for name, memory in self._memories.items()},
-            unjudged=self._file.unjudged(settings.feedback_window),
+            unjudged=[pair for pair in newest[-window:] if pair.feedback is None],
+            judged=[pair for pair in newest if pair.feedback is not None],
             notes=notes,
             actions=actions,
             iterations=iterations,
-            judged=np.array([iteration for iteration, _ in judged], dtype=np.int64),
-            given=np.array([feedback for _, feedback in judged], dtype=np.float64),
         )
 
     def _is_due(self, pair: messages.Pair) -> bool:

@@ -139,7 +139,8 @@ class Optimizer:
             if 0 <= action < self._settings.actions:
                 self._tried[note if note >= 0 else None][action] = iteration
         self._unjudged = {pair.iteration: pair for pair in progress.unjudged}
-        self._praise.restore(dict(zip(progress.judged.tolist(), progress.given.tolist(), strict=True)))
+        for pair in progress.judged:
+            self._measured(pair)
         for pair in progress.unjudged:
             self._unnamed.remember(pair)
         if progress.iteration:
@@ -215,8 +216,7 @@ class Optimizer:
             value, judges = self._teachers.verdict(pair.iteration, pair.teacher)
             if value is not None:
                 del self._unjudged[pair.iteration]
-                best = self._praise.best(pair.iteration, value)
-                self._send_pair(msgspec.structs.replace(pair, feedback=value, judges=judges, best=best))
+                self._send_pair(self._measured(msgspec.structs.replace(pair, feedback=value, judges=judges)))
 
     def _perceive(self, perception: messages.Perception) -> None:
         """Take the outcome of the action, or begin where the robot is when it is further than that.
@@ -403,14 +403,21 @@ class Optimizer:
             versions=cycle.versions,
             teacher=cycle.teacher,
             judges=judges,
-            best=None if value is None else self._praise.best(iteration, value),
         )
+        pair = self._measured(pair)
         self._report(cycle, pair)  # before the pair: of what is stored the report is out
         self._send_pair(pair)
         self._next = iteration + 1
         self._remember(pair)
         self._cycle = Cycle(cycle.outcome, cycle.outcome_s, self._clock())
         return True
+
+    def _measured(self, pair: messages.Pair) -> messages.Pair:
+        """Return a pair with the best praise of late, by which its own is measured."""
+        if pair.feedback is None:
+            return pair
+        self._praise.take(pair.iteration, pair.feedback, pair.judges)
+        return msgspec.structs.replace(pair, best=self._praise.best(pair.iteration))
 
     def _send_pair(self, pair: messages.Pair) -> None:
         self._unacknowledged[pair.iteration] = pair, self._clock()

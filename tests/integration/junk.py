@@ -61,8 +61,7 @@ GIVEN: tuple[Message, ...] = (
         notes=ONE,
         actions=ONE,
         iterations=ONE,
-        judged=ONE,
-        given=ONE.astype(float),
+        judged=[PAIR],
     ),
     messages.IterationReport(
         iteration=0, mode="junk", action=1, explored=False, predicted=0.5, note=1, feedback=0.5, event="none",

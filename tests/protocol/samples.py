@@ -197,17 +197,16 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         changes=st.lists(CHANGES, max_size=2),
         memory=SNAPSHOTS,
     ),
-    messages.Progress: st.tuples(st.integers(0, 4), st.integers(0, 4)).flatmap(
+    messages.Progress: st.integers(0, 4).flatmap(
         lambda n: st.builds(
             messages.Progress,
             iteration=COUNTS,
             versions=VERSIONS,
             unjudged=st.lists(PAIRS, max_size=2),
-            notes=indices(n[0]),
-            actions=indices(n[0]),
-            iterations=indices(n[0]),
-            judged=indices(n[1]),
-            given=floats(n[1]),
+            judged=st.lists(PAIRS, max_size=2),
+            notes=indices(n),
+            actions=indices(n),
+            iterations=indices(n),
         )
     ),
     messages.ContextEvent: st.builds(

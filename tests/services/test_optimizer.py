@@ -21,8 +21,7 @@ PATIENCE_S, RESEND_S = 2.0, 0.5
 def progress(iteration: int = 0, **fields: Any) -> messages.Progress:
     """What a memory store says that has the pairs before `iteration`."""
     none = np.array([], np.int64)
-    plain = {"versions": {}, "unjudged": [], "notes": none, "actions": none, "iterations": none}
-    plain |= {"judged": none, "given": none.astype(float)}
+    plain = {"versions": {}, "unjudged": [], "judged": [], "notes": none, "actions": none, "iterations": none}
     return messages.Progress(iteration=iteration, **(plain | fields))
 
 
@@ -728,8 +727,7 @@ def test_praise_is_measured_by_the_best_of_late_also_after_a_restart() -> None:
     assert [(pair.feedback, pair.best) for pair in pairs] == [
         (0.5, 1.0), (-0.2, 1.0), (0.4, 0.5), (0.2, 0.4), (0.1, 0.4),
     ]  # fmt: skip
-    judged = np.array([pair.iteration for pair in pairs[:4]])
-    rig.progress = progress(4, judged=judged, given=np.array([pair.feedback for pair in pairs[:4]]))
+    rig.progress = progress(4, judged=pairs[:4])
     rig.start()
     rig.sense(4)
     rig.command(4)

@@ -7,10 +7,10 @@ that was given of late. Punishment stays as it is: a robot that is never praised
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
-LONG_AGO = 10_000
-"""Iterations after which a judgement is forgotten, however few there were since."""
+LATELY = 200
+"""Iterations after which a judgement no longer counts as of late: who comes back after a pause praises anew."""
 FAINT = 0.02
 """Praise counts at most as if the best of late had been this: what is fainter is hardly praise."""
 
@@ -21,29 +21,30 @@ def worth(feedback: float, best: float) -> float:
 
 
 class Praise:
-    """The feedback of late. Until there is enough of it, full praise counts as given before."""
+    """The feedback of late, and of whom. Until the same have judged often enough, full praise is the measure."""
 
     def __init__(self, window: int) -> None:
-        """Look for the best among so many judged iterations; 0: full praise always counts as the best."""
+        """Look for the best among so many judged iterations; 0: full praise is always the measure."""
         self._window = window
-        self._given: dict[int, float] = {}
+        self._given: dict[int, tuple[float, tuple[str, ...]]] = {}
 
-    def best(self, iteration: int, feedback: float) -> float:
-        """Take the feedback for an iteration; return the best of late up to that iteration, this one included."""
-        self._given[iteration] = feedback
-        before = self._last([i for i in self._given if iteration - LONG_AGO < i <= iteration])
-        full = [1.0] if len(before) < max(self._window, 1) else []
-        return max([*full, *(self._given[i] for i in before)])
+    def take(self, iteration: int, feedback: float, judges: Sequence[str]) -> None:
+        """Keep the feedback for an iteration."""
+        self._given[iteration] = feedback, tuple(judges)
+
+    def best(self, iteration: int) -> float:
+        """Return the best of late up to an iteration whose feedback was taken: what its judges gave in a row."""
+        judges, found = self._given[iteration][1], [1.0]
+        before = sorted((i for i in self._given if iteration - LATELY < i <= iteration), reverse=True)
+        for count, i in enumerate(before[: self._window], 1):
+            feedback, of = self._given[i]
+            if of != judges:
+                break
+            found.append(feedback)
+            if count == self._window:
+                return max(found[1:])
+        return max(found)
 
     def forget(self, oldest: int) -> None:
         """Forget what no longer counts for an iteration from `oldest` on."""
-        before = self._last([i for i in self._given if oldest - LONG_AGO < i < oldest])
-        kept = {*before, *(i for i in self._given if i >= oldest)}
-        self._given = {i: given for i, given in self._given.items() if i in kept}
-
-    def _last(self, iterations: list[int]) -> list[int]:
-        return sorted(iterations)[-self._window :] if self._window else []
-
-    def restore(self, given: Mapping[int, float]) -> None:
-        """Go on from the feedback of late, by iteration."""
-        self._given = dict(given)
+        self._given = {i: given for i, given in self._given.items() if i > oldest - LATELY}
