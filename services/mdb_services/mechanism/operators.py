@@ -56,6 +56,7 @@ class Settings(NamedTuple):
     step_max: float
     weight_limit: float
     weight_penalty: float
+    error_penalty: float
 
 
 @compiled
@@ -231,17 +232,19 @@ def _measure(
     promoters: Any,
     sizes: Any,
     data: Any,
-    penalty: float,
+    penalties: tuple[float, float],
     errors: Any,
     fitness: Any,
     kernel: int = VERSION,  # noqa: ARG001 - see `compiled`
 ) -> None:
-    """Write errors and fitness (the lower the better): the error plus the penalty on squared weights."""
+    """Write errors and fitness (the lower the better): the error plus the penalties on squared weights."""
+    penalty, share = penalties
     inputs, targets, pairs = data
-    squares = fitness if penalty > 0 else fitness[:0]
+    weighed = penalty > 0 or share > 0
+    squares = fitness if weighed else fitness[:0]
     population_errors(weights, promoters, sizes, inputs, targets, pairs, errors, squares)
     for i in range(errors.size):
-        fitness[i] = errors[i] + penalty * fitness[i] if penalty > 0 else errors[i]
+        fitness[i] = errors[i] + (penalty + share * errors[i]) * fitness[i] if weighed else errors[i]
 
 
 @compiled
@@ -319,8 +322,9 @@ def evolve(
     part of the population, all of whose members have the same chance, replace the others but for a few immigrants:
     neutral operators cannot bring back what all have lost, say every unit of a layer.
     """
-    elite, penalty, (first, end) = settings.elite, settings.weight_penalty, generations
-    _measure(population[0], population[1], sizes, data, penalty, errors, fitness)
+    elite, (first, end) = settings.elite, generations
+    penalties = settings.weight_penalty, settings.error_penalty
+    _measure(population[0], population[1], sizes, data, penalties, errors, fitness)
     children = population[0].copy(), population[1].copy(), population[2].copy()
     for generation in range(first, end):
         order = find_best(fitness, max(elite, _parents(settings, fitness.size)))
@@ -330,6 +334,8 @@ def evolve(
         _breed(population, order, sizes, settings, key, generation, children)
         errors[:elite], fitness[:elite] = errors[order[:elite]], fitness[order[:elite]]
         population, children = children, population
-        _measure(population[0][elite:], population[1][elite:], sizes, data, penalty, errors[elite:], fitness[elite:])
+        _measure(
+            population[0][elite:], population[1][elite:], sizes, data, penalties, errors[elite:], fitness[elite:]
+        )
     if (end - first) % 2:  # the last generation is in the arrays of this function
         children[0][:], children[1][:], children[2][:] = population

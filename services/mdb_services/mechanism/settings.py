@@ -41,6 +41,8 @@ class EvolutionConfig:
     """Weights stay in plus or minus this."""
     weight_penalty: float = 0.0
     """Added to the fitness for each unit of the sum of squared weights that count."""
+    error_penalty: float = 0.0
+    """The same, as a share of the individual's error: what cannot be foreseen is not to be fitted by great weights."""
     expressed_first: float = 0.85
     """Share of hidden units expressed at the beginning."""
 
@@ -50,7 +52,7 @@ class EvolutionConfig:
         _at_least(self, generations=1)
         rates = ("crossover_rate", "mutation_rate", "structural_rate")
         _shares(self, "parent_share", *rates, "immigrant_share", "expressed_first")
-        _not_negative(self, "step_rate", "weight_first", "weight_penalty")
+        _not_negative(self, "step_rate", "weight_first", "weight_penalty", "error_penalty")
         _steps_in_order(self)
         _limited(self)
 
