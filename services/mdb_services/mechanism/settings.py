@@ -42,7 +42,8 @@ class EvolutionConfig:
     weight_penalty: float = 0.0
     """Added to the fitness for each unit of the sum of squared weights that count."""
     error_penalty: float = 0.0
-    """The same, as a share of the individual's error: what cannot be foreseen is not to be fitted by great weights."""
+    """The same, as a share of the individual's error: what cannot be foreseen is not to be fitted by great weights.
+    Ours."""
     expressed_first: float = 0.85
     """Share of hidden units expressed at the beginning."""
 
