@@ -8,8 +8,12 @@ import pytest
 
 from mdb_deploy import ltm
 from mdb_deploy.cli import EXPERIMENTS, main
+from mdb_deploy.ltm import committee_hidden
 from mdb_protocol import messages
 from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.mechanism.learners import make_learner
+from mdb_services.mechanism.network import Shape
+from mdb_services.mechanism.settings import AdamConfig
 from mdb_services.memory_file import MemoryFile
 from mdb_sim.experiment import Experiment
 from mdb_sim.measures import captures
@@ -79,7 +83,8 @@ def test_a_model_that_does_not_fit_is_refused_and_nothing_is_written(
 ) -> None:
     for setting, says in (
         ("channels.angle.low=-3.14", "angle is scalar -1.5708 to 1.5708 there, scalar -3.14 to 1.5708 here"),
-        ("model.object.hidden=[2]", "this experiment has room for [2]"),
+        ("model.object.hidden=[2]", "this experiment has room for [2], or as its 5 members together [15]"),
+        ("model.object.members=1", "this experiment has room for [30]: --set"),
         ("model.object.name=thing", "no model 'object'"),
     ):
         settings = ["robot.body=kinematic", setting]
@@ -89,6 +94,15 @@ def test_a_model_that_does_not_fit_is_refused_and_nothing_is_written(
         assert main(["ltm", "import", str(taught), str(other)]) == 2
         assert says in capsys.readouterr().err
         assert stored(other) == []
+
+
+@pytest.mark.parametrize(("members", "hidden"), [(1, [4, 3]), (5, [4, 3]), (2, [6])])
+def test_the_room_of_a_committee_is_what_it_reports(members: int, hidden: list[int]) -> None:
+    learner = make_learner("adam", Shape(2, tuple(hidden), 1), AdamConfig(), 1, "object", members=members)
+    section = Experiment.read(
+        EXPERIMENTS / "paper.toml", [f"model.object.members={members}", f"model.object.hidden={hidden}"]
+    ).brain.model_named("object")
+    assert list(learner.shape.hidden) == committee_hidden(section)
 
 
 def test_clear_errors(taught: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,7 +27,14 @@ from tests.integration.test_experiment import RESTLESS
 
 GOLDEN = Path(__file__).parent / "golden"
 PROCESSOR_FILE = "processor"
-SMALL = (*SHORT, "experiment.pace=lockstep", "model.object.hidden=[8]", "model.communication.hidden=[6]")
+SMALL = (
+    *SHORT,
+    "experiment.pace=lockstep",
+    "model.object.hidden=[8]",
+    "model.communication.hidden=[6]",
+    "model.object.members=2",
+    "model.induced.members=2",
+)
 RUNS = {
     "paper": SMALL,
     # Contexts change, models are stored and recalled, the word goes from one teacher to the next while feedback of

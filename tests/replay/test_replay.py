@@ -207,7 +207,8 @@ def test_a_run_in_which_services_died_is_replayed_as_if_they_had_lived(tmp_path:
 
 
 def test_a_run_that_began_with_models_of_another_is_replayed_from_there(tmp_path: Path) -> None:
-    settings = [word for setting in SHORT for word in ("--set", setting)]
+    committees = [f"model.{name}.members=2" for name in ("object", "induced")]
+    settings = [word for setting in (*SHORT, *committees) for word in ("--set", setting)]
     words = ["up", "--inline", "--no-plot", "--iterations", "30", "--runs", str(tmp_path), *settings]
     source = tmp_path / "source"
     run_experiment(Experiment.read(GOLDEN / "late" / EXPERIMENT_FILE, ["model.object.hidden=[30]"]), source)
