@@ -125,8 +125,10 @@ STATEMENTS: tuple[Statement, ...] = (
         "The search for models is learning, not optimisation: the best generalisation is sought, which is not the "
         "least error at an instant.",
         "adapted",
-        "Gradual learning serves it, as in the next rows. Which individual acts is still decided by its error over "
-        "the short-term memory.",
+        "Gradual learning serves it, as in the next rows. Which individual is best is still decided by its error "
+        "over the short-term memory, but the object and the induced model are the mean of the best of several "
+        "populations (`learners/committee.py`), which generalises better; and great weights are penalised the more "
+        "the greater the error is.",
     ),
     Statement(
         "2.3",
@@ -140,7 +142,12 @@ STATEMENTS: tuple[Statement, ...] = (
         "faithful",
         "`generations` in the experiment file; the evolver does no more for a version of the memory",
     ),
-    Statement("2.3", "Populations are kept between iterations.", "faithful", "`services/mdb_services/evolver.py`"),
+    Statement(
+        "2.3",
+        "Populations are kept between iterations.",
+        "faithful",
+        "`services/mdb_services/evolver.py`; some models have several small ones, see above",
+    ),
     Statement(
         "2.3",
         "Fitness: the error between predicted and real values of the pairs.",
