@@ -17,7 +17,7 @@ import structlog
 from mdb_protocol import codec
 from mdb_protocol.errors import ConfigError, DamageError, DecodeError, MdbError
 from mdb_protocol.messages import LongTermFile, LongTermModel
-from mdb_services.config import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE, ModelSection
+from mdb_services.config import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.mechanism.network import Network
 from mdb_services.memory_file import MemoryFile
 from mdb_services.memory_rescue import survey
@@ -126,7 +126,7 @@ def _check_fits(model: LongTermModel, experiment: Experiment) -> None:
     if differ or list(own) != list(model.reads):
         what = "; ".join(differ) or f"it reads {', '.join(model.reads)} in this order"
         raise MdbError(f"model {model.model}/{model.id} does not fit this experiment: {what}")
-    hidden, whole = model.layers[1:-1], committee_hidden(section)
+    hidden, whole = model.layers[1:-1], experiment.brain.reported_hidden(section)
     if hidden == whole:
         return
     if len(hidden) != len(section.hidden) or any(a > b for a, b in zip(hidden, section.hidden, strict=True)):
@@ -136,14 +136,6 @@ def _check_fits(model: LongTermModel, experiment: Experiment) -> None:
             f"{list(section.hidden)}{committee}: --set model.{model.model}.hidden={hidden}, or what "
             f"'hidden' and 'members' were in {model.experiment}"
         )
-
-
-def committee_hidden(section: ModelSection) -> list[int]:
-    """Return the hidden units of the network that a model's learners report together, see `learners.committee`."""
-    if section.members == 1:
-        return list(section.hidden)
-    *first, last = section.hidden
-    return [section.members * units for units in (*first, last + 1)]
 
 
 def listing(models: Iterable[LongTermModel]) -> str:

@@ -222,7 +222,7 @@ class Pair(Message, frozen=True, kw_only=True):
 
     `teacher` gave the note; `judges` are the authors of the feedback, which is the mean of what they said. A pair
     without feedback may come again with it, when it came late. `best` is the best feedback of late, by which praise
-    is measured; None: by full praise.
+    is measured: 1 is full praise. None: there is no feedback, or it counts as it is.
     """
 
     iteration: Iteration

@@ -18,11 +18,13 @@ import msgspec
 from msgspec import Meta
 
 from mdb_protocol.errors import ConfigError
+from mdb_protocol.keys import MODEL_BYTES
 from mdb_services.mechanism.choice import Mode
 from mdb_services.mechanism.context import ContextConfig
 from mdb_services.mechanism.encoding import Channel, Codebook, Encoding
 from mdb_services.mechanism.ltm import LongTermConfig
-from mdb_services.mechanism.settings import LEARNER_CONFIGS, EvolutionConfig, LearnerConfig
+from mdb_services.mechanism.praise import LATELY
+from mdb_services.mechanism.settings import LEARNER_CONFIGS, EvolutionConfig, LearnerConfig, RidgeConfig
 from mdb_services.mechanism.stm import MemoryConfig
 from mdb_services.teachers import Word
 
@@ -35,6 +37,10 @@ MEMORY_FILE = "memory.sqlite"
 BEGINNING_FILE = "memory.beginning.sqlite"
 """The same before the first pair, where a run begins with models of another one: what a replay begins with."""
 
+NUMBER_BYTES = 4
+"""Of a weight in a message."""
+BESIDE = 1024
+"""Room for so many numbers is left for all else in the message of a current model."""
 SWIFT_HZ = 47.0, 2093.0
 """Lowest and highest pitch of the swift-f0 network."""
 
@@ -118,12 +124,12 @@ class OptimizerSection(Section, frozen=True, kw_only=True):
     command_patience_s: Seconds = 2.0
     """How long a teacher who is there may take for a command before the brain acts on its own."""
     feedback_patience_s: Seconds = 2.0
-    feedback_window: Annotated[int, Meta(ge=1, le=10_000)] = 100
+    feedback_window: Annotated[int, Meta(ge=1, le=2000)] = 100
     """Feedback that comes so many iterations late is still credited to the iteration it names, or that it is for."""
     most_late: Annotated[int, Meta(ge=0, le=20)] = 6
     """So many iterations late, at the most, is feedback that names no iteration, and less than the window."""
-    praise_window: Annotated[int, Meta(ge=0, le=1000)] = 30
-    """Praise is measured by the best of so many judged iterations; 0: by full praise, always."""
+    praise_window: Annotated[int, Meta(ge=0, le=LATELY)] = 30
+    """Praise is measured by the best of so many judged iterations in a row, within 200; 0: by full praise, always."""
     word: Word = "first"
     """Of several teachers: "first", who comes first holds the word; "all", whoever speaks first each time."""
     lockstep_patience_s: Seconds = 60.0
@@ -266,6 +272,13 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
                 found[f"covered.{name}"] = make(Channel, change, f"channels.{name}.change")
         return found
 
+    def reported_hidden(self, model: ModelSection) -> list[int]:
+        """Return the hidden units of the networks that a model's learners report, see `learners.committee`."""
+        settings = self.learner_of(model)[1]
+        *first, last = model.hidden
+        last = max(last, settings.features) if isinstance(settings, RidgeConfig) else last
+        return [*first, last] if model.members == 1 else [model.members * units for units in (*first, last + 1)]
+
     def is_supported(self, model: str) -> bool:
         """Whether a mode weighs what this model foresees by the pairs that it was learnt from."""
         outputs = {section.name: section.outputs for section in self.model}
@@ -306,6 +319,22 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
                     f"mode {mode.name}: satisfaction {mode.satisfaction!r} is neither a model nor an output "
                     f"of {mode.world}{_nearest(mode.satisfaction, models)}"
                 )
+        for model in self.model:
+            self._check_size(model)
+
+    def _check_size(self, model: ModelSection) -> None:
+        """Refuse a model whose current model is too large for a message."""
+        width = Codebook(self.variables(), model.inputs, model.outputs).width
+        layers = [width, *self.reported_hidden(model), len(model.outputs)]
+        weights = sum((before + 1) * after for before, after in pairwise(layers))
+        support = model.capacity * width if self.is_supported(model.name) else 0
+        most = MODEL_BYTES // NUMBER_BYTES - BESIDE
+        if weights + support > most:
+            raise ConfigError(
+                f"model {model.name}: its current model has {weights} weights in layers {layers}, and {support} "
+                f"numbers support it; expected at most {most} together: choose fewer 'members', 'hidden' units or "
+                "pairs"
+            )
 
     def _check_ear(self, ear: EarSection, notes: int | None) -> None:
         if len(ear.notes_hz) != notes:

@@ -140,7 +140,8 @@ class Optimizer:
                 self._tried[note if note >= 0 else None][action] = iteration
         self._unjudged = {pair.iteration: pair for pair in progress.unjudged}
         for pair in progress.judged:
-            self._measured(pair)
+            if pair.feedback is not None:
+                self._praise.take(pair.iteration, pair.feedback, pair.judges)
         for pair in progress.unjudged:
             self._unnamed.remember(pair)
         if progress.iteration:

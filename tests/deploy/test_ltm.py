@@ -8,12 +8,11 @@ import pytest
 
 from mdb_deploy import ltm
 from mdb_deploy.cli import EXPERIMENTS, main
-from mdb_deploy.ltm import committee_hidden
 from mdb_protocol import messages
 from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.mechanism.learners import make_learner
 from mdb_services.mechanism.network import Shape
-from mdb_services.mechanism.settings import AdamConfig
+from mdb_services.mechanism.settings import LEARNER_CONFIGS
 from mdb_services.memory_file import MemoryFile
 from mdb_sim.experiment import Experiment
 from mdb_sim.measures import captures
@@ -96,13 +95,16 @@ def test_a_model_that_does_not_fit_is_refused_and_nothing_is_written(
         assert stored(other) == []
 
 
+@pytest.mark.parametrize("name", ["adam", "ridge"])
 @pytest.mark.parametrize(("members", "hidden"), [(1, [4, 3]), (5, [4, 3]), (2, [6])])
-def test_the_room_of_a_committee_is_what_it_reports(members: int, hidden: list[int]) -> None:
-    learner = make_learner("adam", Shape(2, tuple(hidden), 1), AdamConfig(), 1, "object", members=members)
-    section = Experiment.read(
-        EXPERIMENTS / "paper.toml", [f"model.object.members={members}", f"model.object.hidden={hidden}"]
-    ).brain.model_named("object")
-    assert list(learner.shape.hidden) == committee_hidden(section)
+def test_the_room_of_a_model_is_that_of_what_its_learners_report(name: str, members: int, hidden: list[int]) -> None:
+    settings = [f"model.object.members={members}", f"model.object.hidden={hidden}", f'learner={{name="{name}"}}']
+    brain = Experiment.read(EXPERIMENTS / "paper.toml", settings).brain
+    shape = Shape(2, tuple(hidden), 1)
+    learner = make_learner(name, shape, LEARNER_CONFIGS[name](), 1, "object", members=members)
+    reported = learner.learn(np.zeros((3, 2), np.float32), np.ones((3, 1), np.float32), version=1).network
+    units = brain.reported_hidden(brain.model_named("object"))
+    assert units == (list(reported.sizes[1:-1]) if members > 1 or name == "ridge" else hidden)
 
 
 def test_clear_errors(taught: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -47,8 +47,12 @@ RESTLESS = (
     "long_term.fit_error=0.5",
     "long_term.same_error=0.0001",
     "teacher.phase.second teacher.delay=2",
+    "optimizer.praise_window=3",
+    "teacher.phase.first teacher.praise_half_life=10",
+    "teacher.phase.second teacher.praise_half_life=10",
 )
-"""Settings with which a short run changes context again and again, and stores and recalls models."""
+"""Settings with which a short run changes context again and again, stores and recalls models, and measures
+praise that fades."""
 
 
 @pytest.fixture(scope="module")

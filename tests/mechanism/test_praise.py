@@ -53,6 +53,15 @@ def test_a_teacher_who_comes_is_measured_by_full_praise_at_first() -> None:
     assert bests(praise, [0.1] * 4, first=8) == [1.0, 1.0, 0.1, 0.1]
 
 
+def test_judges_are_the_same_in_whatever_order_they_judge() -> None:
+    praise = Praise(window=3)
+    for i in range(6):
+        praise.take(i, 0.2, ["anna", "ben"] if i % 2 else ["ben", "anna"])
+    assert praise.best(5) == 0.2
+    praise.take(6, 0.2, ["anna"])
+    assert praise.best(6) == 1.0
+
+
 def test_who_comes_back_after_a_pause_is_measured_by_full_praise_at_first() -> None:
     praise = Praise(window=3)
     bests(praise, [0.1] * 4)

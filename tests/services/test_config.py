@@ -32,6 +32,12 @@ def channels(**changed: Any) -> dict[str, Any]:
     return content(channels={name: CONTENT["channels"].get(name, {}) | fields for name, fields in changed.items()})
 
 
+SUPPORTED_BY_MUCH = channels(note={"size": 20}) | {
+    "model": models(capacity=100_000)["model"],
+    "mode": modes(reach=0.3)["mode"],
+}
+
+
 def test_the_papers_file_is_valid() -> None:
     brain = brain_config(read_file(PAPER), PAPER)
     assert [model.name for model in brain.model] == ["communication", "object", "induced"]
@@ -146,6 +152,10 @@ def test_any_override_is_taken_or_a_config_error(path: str, value: str) -> None:
         (modes(reach=101), "reach"),
         (modes(curiosity=-0.1), "curiosity"),
         (modes(curiosity=11), "curiosity"),
+        (models(members=0), "members"),
+        (models(members=64, hidden=[128, 128]), "choose fewer 'members', 'hidden' units or pairs"),
+        (SUPPORTED_BY_MUCH, "numbers support it; expected at most"),
+        (content(optimizer={"praise_window": 201}), "praise_window"),
         (models(memory={"outcome": -1.0}), "outcome is -1.0; expected 0, or a positive number"),
     ],
 )  # fmt: skip

@@ -12,6 +12,7 @@ from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.config import BrainConfig, brain_config
 from mdb_services.elsewhere import BELIEVED_AFTER_S
+from mdb_services.mechanism.praise import LATELY
 from mdb_services.memory_file import MemoryFile
 from mdb_services.memory_store import RETRY_S, MemoryStore
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, pair
@@ -346,3 +347,16 @@ def test_in_lockstep_late_feedback_waits_for_what_is_learnt_from_all_that_is_sto
     assert [(answer.iteration, answer.judged) for answer in taken(rig.stored)] == [(0, True)]
     rig.show(model("communication", 1))
     assert [(answer.iteration, answer.judged) for answer in taken(rig.stored)] == [(1, True)]
+
+
+def test_an_optimizer_that_begins_is_told_the_newest_pairs_with_feedback_and_without(make_rig: MakeRig) -> None:
+    rig = make_rig(config(optimizer={"feedback_window": 4}))
+    count = LATELY + 11
+    said = {i: 0.1 for i in range(count) if i % 3}
+    rig.give(*(pair(i, feedback=said.get(i)) for i in range(count)))
+    rig.give(pair(count - 1, feedback=0.5))  # late
+    (progress,) = rig.outside.query(keys.PROGRESS, 1.0)
+    said[count - 1] = 0.5
+    newest = range(count - 4 - LATELY, count)
+    assert [(p.iteration, p.feedback) for p in progress.judged] == [(i, said[i]) for i in newest if i in said]
+    assert [p.iteration for p in progress.unjudged] == [i for i in newest[-4:] if i not in said]

@@ -1,11 +1,12 @@
 """Multilayer perceptrons as models: the shape of a genome, and the compact network that acts and travels.
 
-Models are multilayer perceptrons (paper, section 2.3). A `Network` holds the expressed units only, so whoever
-uses it needs neither promoters nor numba. Hidden units are tanh. Outputs are a sum, cut off at -1 and 1 where
-it is used (ours): all targets lie in [-1, 1], and a bounded model cannot promise more than the best that can
-happen. Evolution measures the sum before it is cut (`kernel.py`): what lies beyond the bounds then still says
-which way is better. Measured on the communication model against cutting, or tanh, in evolution as well: a third of
-the error over all command-action pairs after the second language.
+Models are multilayer perceptrons (paper, section 2.3). A `Network` holds what acts, the expressed units
+(that of a committee also idle ones, see `learners.committee`), so whoever uses it needs neither promoters nor numba.
+Hidden units are tanh. Outputs are a sum, cut off at -1 and 1 where it is used (ours): all targets lie in [-1, 1],
+and a bounded model cannot promise more than the best that can happen. Evolution measures the sum before it is cut
+(`kernel.py`): what lies beyond the bounds then still says which way is better. Measured on the communication model
+against cutting, or tanh, in evolution as well: a third of the error over all command-action pairs after the second
+language.
 """
 
 from collections.abc import Sequence

@@ -319,8 +319,8 @@ def evolve(
 
     generations (first, end) count those of this memory. First everyone is measured on the present memory: an old
     fitness says nothing once the memory changed. In a generation the best few stay, and offspring of the better
-    part of the population, all of whose members have the same chance, replace the others but for a few immigrants:
-    neutral operators cannot bring back what all have lost, say every unit of a layer.
+    part of the population, all of whose members have the same chance, replace the others but for a few immigrants,
+    if their share comes to one: neutral operators cannot bring back what all have lost, say every unit of a layer.
     """
     elite, (first, end) = settings.elite, generations
     penalties = settings.weight_penalty, settings.error_penalty

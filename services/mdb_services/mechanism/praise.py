@@ -7,10 +7,10 @@ that was given of late. Punishment stays as it is: a robot that is never praised
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 LATELY = 200
-"""Iterations after which a judgement no longer counts as of late: who comes back after a pause praises anew."""
+"""Iterations after which a judgement no longer counts as of late: who comes back after that praises anew."""
 FAINT = 0.02
 """Praise counts at most as if the best of late had been this: what is fainter is hardly praise."""
 
@@ -26,14 +26,17 @@ class Praise:
     def __init__(self, window: int) -> None:
         """Look for the best among so many judged iterations; 0: full praise is always the measure."""
         self._window = window
-        self._given: dict[int, tuple[float, tuple[str, ...]]] = {}
+        self._given: dict[int, tuple[float, frozenset[str]]] = {}
 
-    def take(self, iteration: int, feedback: float, judges: Sequence[str]) -> None:
+    def take(self, iteration: int, feedback: float, judges: Iterable[str]) -> None:
         """Keep the feedback for an iteration."""
-        self._given[iteration] = feedback, tuple(judges)
+        self._given[iteration] = feedback, frozenset(judges)
 
     def best(self, iteration: int) -> float:
-        """Return the best of late up to an iteration whose feedback was taken: what its judges gave in a row."""
+        """Return the best of late up to an iteration whose feedback was taken: what its judges gave in a row.
+
+        It is 1, full praise, until they have judged as often as the window is long, within `LATELY` iterations.
+        """
         judges, found = self._given[iteration][1], [1.0]
         before = sorted((i for i in self._given if iteration - LATELY < i <= iteration), reverse=True)
         for count, i in enumerate(before[: self._window], 1):

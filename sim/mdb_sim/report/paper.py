@@ -127,8 +127,8 @@ STATEMENTS: tuple[Statement, ...] = (
         "adapted",
         "Gradual learning serves it, as in the next rows. Which individual is best is still decided by its error "
         "over the short-term memory, but the object and the induced model are the mean of the best of several "
-        "populations (`learners/committee.py`), which generalises better; and great weights are penalised the more "
-        "the greater the error is.",
+        "populations (`learners/committee.py`), which generalises better. Great weights are penalised: those of the "
+        "induced model, and, the more the greater the error is, those of the communication model.",
     ),
     Statement(
         "2.3",
@@ -151,8 +151,9 @@ STATEMENTS: tuple[Statement, ...] = (
     Statement(
         "2.3",
         "Fitness: the error between predicted and real values of the pairs.",
-        "faithful",
-        f"`{MECHANISM}/kernel.py`; every individual anew on every version of the memory, which is ours",
+        "adapted",
+        f"`{MECHANISM}/kernel.py`; every individual anew on every version of the memory, and the penalties on great "
+        "weights, are ours",
     ),
     Statement(
         "2.3",

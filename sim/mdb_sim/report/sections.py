@@ -121,8 +121,9 @@ def paper(section: Section) -> str:
     written = runs.get(tables.AS_WRITTEN)
     return _paragraphs(
         "“Written”: note and action each one number, the action in the paper's listing; memories first in first out; "
-        "models believed everywhere, no exploration by aspiration, no detector of changes, no long-term memory. Then "
-        "each addition alone, and everything without it.",
+        "models believed everywhere, one learner a model, praise as it is given, no exploration by aspiration, no "
+        "detector of changes, no long-term memory. The penalties on great weights stay. Then each addition alone, "
+        "and everything without it.",
         summary(main_quantities(runs)),
         "As written: " + error_without_obedience(written) if written else "",
         _variants_figure(section, "What each addition brings, alone and all but it."),
@@ -146,6 +147,8 @@ def teachers(section: Section) -> str:
 def learners(section: Section) -> str:
     """Learners in the closed loop, and players without our mechanism."""
     return _paragraphs(
+        "“as shipped” has committees for two of its models, the other learners are one a model; what committees and "
+        "promoters are worth by themselves is in the ablation. "
         "Gaussian processes: a bandit with the upper confidence bound for each note, which forgets when it is "
         "surprised, and when alone a Gaussian process from reading and action to feedback. It sees what the brain "
         "sees. “knows the language” obeys each note as it sounds and does anything when alone. No player but the "

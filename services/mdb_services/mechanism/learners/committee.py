@@ -64,12 +64,14 @@ class Committee(Learner):
 
     def _seed(self, networks: Sequence[Network]) -> None:
         whole = [network for network in networks if network.sizes == self.shape.sizes]
-        weights = [network.to_arrays()[1] for network in whole]
-        self._waiting = np.concatenate([self._waiting, np.array(weights, np.float32).reshape(-1, self.shape.weights)])
         split = [parts(network, len(self._members)) for network in whole]
         small = [network for network in networks if network.sizes != self.shape.sizes]
         for place, member in enumerate(self._members):
             member.seed([*(network[place] for network in split), *small])
+        for network in whole:
+            weights = network.to_arrays()[1]
+            if not (self._waiting == weights).all(axis=1).any():
+                self._waiting = np.concatenate([self._waiting, weights[None]])
 
     def state(self) -> Arrays:
         """Return copies of all arrays, those of a member under its place and a dot."""

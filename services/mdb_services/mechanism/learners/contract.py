@@ -27,7 +27,7 @@ class Best:
     error: float
     """Mean squared error of its predictions over the memory, without penalty; NaN when the memory is empty."""
     expressed: int
-    """Hidden units of the network."""
+    """Hidden units of the network; of a committee's, idle ones too."""
 
 
 class Learner(ABC):
