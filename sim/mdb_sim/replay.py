@@ -13,7 +13,7 @@ came and went is in no log: he is taken for there from the beginning.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -154,10 +154,10 @@ def replay(run: Run, name: str, compare: Compare = EXACTLY) -> Outcome:
     """
     role = _role(run, name)
     learnt = None if role.model is None or run.experiment.brain.lockstep else run.learnt(role.model)
-    comparison, heard = Comparison(compare, gaps=role.gaps), 0
+    comparison, heard, answers = Comparison(compare, gaps=role.gaps), 0, _Answers(run, role)
     with alone(run, role) as (service, bus, said):
         drive(service)
-        for recorded in run.with_actions_done() if role.gaps else run.log:
+        for recorded in answers.in_order(run.with_actions_done() if role.gaps else run.log):
             if role.wrote(recorded.key):
                 comparison.record(recorded.key, recorded.message)
             elif bus.feed(raw_of(recorded)):
@@ -165,12 +165,50 @@ def replay(run: Run, name: str, compare: Compare = EXACTLY) -> Outcome:
                 if learnt is None or getattr(recorded.message, "version", None) in learnt:
                     drive(service)
             for raw in said():
-                comparison.say(raw.key, _message(raw, bus))
+                message = _message(raw, bus)
+                answers.asked(message)
+                comparison.say(raw.key, message)
             if comparison.difference is not None:
                 break
         else:
             comparison.end()
     return Outcome(name, heard, comparison.compared, comparison.unmatched, comparison.difference)
+
+
+class _Answers:
+    """Puts acknowledgements of pairs after the pairs that they are for.
+
+    The recorder hears each sender in order, but not all senders in one: on a busy machine a pair's acknowledgement
+    can be in the log before the feedback without which the pair was never sent.
+    """
+
+    def __init__(self, run: Run, role: Role) -> None:
+        self._answered = role.wrote(keys.PAIR.at(run.experiment.brain.experiment.brain))
+        self._sent: set[tuple[int, bool]] = set()
+        self._early: list[Recorded] = []
+
+    def asked(self, message: messages.Message) -> None:
+        """Take what the service has said."""
+        if isinstance(message, messages.Pair):
+            self._sent.add((message.iteration, message.feedback is not None))
+
+    def in_order(self, log: Iterable[Recorded]) -> Iterator[Recorded]:
+        """Yield the log, what came too early as soon as it is not, and in the end all the rest."""
+        for recorded in log:
+            if self._is_early(recorded):
+                self._early.append(recorded)
+            else:
+                yield recorded
+            while (due := next((early for early in self._early if not self._is_early(early)), None)) is not None:
+                self._early.remove(due)
+                yield due
+        yield from self._early
+
+    def _is_early(self, recorded: Recorded) -> bool:
+        stored = recorded.message
+        if not self._answered or not isinstance(stored, messages.PairStored):
+            return False
+        return (stored.iteration, stored.judged) not in self._sent
 
 
 def _role(run: Run, name: str) -> Role:

@@ -206,6 +206,18 @@ def test_a_run_in_which_services_died_is_replayed_as_if_they_had_lived(tmp_path:
     assert differing(run) == {}
 
 
+def test_acknowledgements_that_the_recorder_heard_too_early_come_when_they_are_due() -> None:
+    run = GOLDEN_RUNS["late"]
+    log, moved = list(run.log), 0
+    for place, recorded in enumerate(run.log):
+        if isinstance(recorded.message, messages.PairStored):
+            earlier = max(place - 8, 0)
+            moved += any(isinstance(r.message, messages.Pair) for r in log[earlier:place])
+            log.insert(earlier, log.pop(place))
+    assert moved > 50
+    assert replay(run._replace(log=log), "optimizer").difference is None
+
+
 def test_a_run_that_began_with_models_of_another_is_replayed_from_there(tmp_path: Path) -> None:
     committees = [f"model.{name}.members=2" for name in ("object", "induced")]
     settings = [word for setting in (*SHORT, *committees) for word in ("--set", setting)]
