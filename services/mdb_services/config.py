@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.keys import MODEL_BYTES
+from mdb_protocol.messages import MOST_SUPPORT
 from mdb_services.mechanism.choice import Mode
 from mdb_services.mechanism.context import ContextConfig
 from mdb_services.mechanism.encoding import Channel, Codebook, Encoding
@@ -91,7 +92,7 @@ class ModelSection(Section, frozen=True, kw_only=True):
     inputs: Annotated[tuple[str, ...], Meta(min_length=1)]
     outputs: Annotated[tuple[str, ...], Meta(min_length=1)]
     hidden: Annotated[tuple[Annotated[int, Meta(ge=1, le=512)], ...], Meta(min_length=1, max_length=4)]
-    capacity: Annotated[int, Meta(ge=1, le=100_000)]
+    capacity: Annotated[int, Meta(ge=1, le=MOST_SUPPORT)]
     """Pairs in its short-term memory."""
     members: Annotated[int, Meta(ge=1, le=64)] = 1
     """So many learners, each with these settings, learn it side by side; the current model is their mean."""

@@ -10,15 +10,21 @@ from mdb_services.mechanism.settings import LEARNER_CONFIGS
 from tests.conformance.learner_conformance import SMALL, LearnerConformance
 
 
-class NamedLearner(LearnerConformance):
-    """The suite for a learner with its default settings."""
+class LearnerOf(LearnerConformance):
+    """The suite for a learner, or a committee of such, with default settings."""
 
     learner = ""
+    members = 1
 
     def make(self, shape, seed=5, name="evolver/communication"):
         if self.learner == "cma":
             pytest.importorskip("cmaes")
-        return make_learner(self.learner, shape, LEARNER_CONFIGS[self.learner](), seed, name)
+        settings = LEARNER_CONFIGS[self.learner]()
+        return make_learner(self.learner, shape, settings, seed, name, members=self.members)
+
+
+class NamedLearner(LearnerOf):
+    """The suite for a single learner."""
 
 
 class TestPromoterGA(NamedLearner):
@@ -45,13 +51,10 @@ class TestRidge(NamedLearner):
     learner = "ridge"
 
 
-class CommitteeOf(LearnerConformance):
+class CommitteeOf(LearnerOf):
     """The suite for a committee of three."""
 
-    learner = ""
-
-    def make(self, shape, seed=5, name="evolver/communication"):
-        return make_learner(self.learner, shape, LEARNER_CONFIGS[self.learner](), seed, name, members=3)
+    members = 3
 
 
 class TestCommitteeOfPromoterGAs(CommitteeOf):

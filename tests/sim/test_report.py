@@ -31,6 +31,12 @@ def everything() -> list[Result]:
     return [result for study, variants in VARIANTS.items() for result in results(study, variants)]
 
 
+def written(found: list[Result], folder: Path, variants: document.Variants | None = None) -> str:
+    """Write the report into a folder; return its text."""
+    document.write(found, folder / "REPORT.md", variants)
+    return (folder / "REPORT.md").read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     out = tmp_path_factory.mktemp("report") / "sim" / "REPORT.md"
@@ -99,8 +105,7 @@ def test_settings_that_differ_between_seeds_and_variants_that_are_gone_are_said(
     settings = {11: (body,), 12: (body,), 13: (body, short)}
     found = [Result(label("alone", seed=s, overrides=of), run(s)) for s, of in settings.items()]
     old = Result(label("alone", "older", seed=11, order=1, overrides=(body,)), run(11))
-    document.write([*found, old], tmp_path / "REPORT.md", {"alone": ["as shipped"]})
-    text = (tmp_path / "REPORT.md").read_text(encoding="utf-8")
+    text = written([*found, old], tmp_path, {"alone": ["as shipped"]})
     assert f"Set for all: `{body}`." in text
     mixed = f"**Mixed settings** under “as shipped”: seeds 11, 12 with `{body}`; seed 13 with `{body}`, `{short}`"
     assert mixed in text
@@ -111,8 +116,7 @@ def test_settings_that_differ_between_seeds_and_variants_that_are_gone_are_said(
 def test_the_reproduction_shows_every_variant_with_all_its_own_seeds(tmp_path: Path) -> None:
     found = results("reproduction", ["graded reward"], range(11, 16))
     found += [Result(label("reproduction", "binary reward", s, 1), run(s)) for s in (11, 12)]
-    document.write(found, tmp_path / "REPORT.md")
-    text = (tmp_path / "REPORT.md").read_text(encoding="utf-8")
+    text = written(found, tmp_path)
     assert "median 70 [70, 70] (5 seeds)" in text
     assert "| graded reward (5 seeds) | first teacher, alone |" in text
     assert "| binary reward (2 seeds) | first teacher, alone |" in text
@@ -135,8 +139,7 @@ def test_statements_are_filled_from_what_was_measured(whole: tuple[str, Path]) -
 
 
 def test_a_study_without_results_is_said_to_be_missing_by_its_command(tmp_path: Path) -> None:
-    document.write(results("alone", ["as shipped"]), tmp_path / "REPORT.md")
-    text = (tmp_path / "REPORT.md").read_text(encoding="utf-8")
+    text = written(results("alone", ["as shipped"]), tmp_path)
     for study in REPORTED:
         assert (f"`mdb study {study.name}` is missing" in text) == (study.name != "alone")
     assert text.count(NOT_YET) >= 10
@@ -157,8 +160,7 @@ def test_bodies_are_told_apart_and_versions_of_the_code_are_named(tmp_path: Path
         for s in (11, 12)
     ]
     found.append(Result(label("alone", seed=14, code="other"), run(14)))
-    document.write(found, tmp_path / "REPORT.md")
-    text = (tmp_path / "REPORT.md").read_text(encoding="utf-8")
+    text = written(found, tmp_path)
     assert "### Body: pybullet" in text
     assert "The ideal is that of the kinematic twin" in text
     assert "code c, other" in text

@@ -11,6 +11,8 @@ from collections.abc import Iterable
 
 LATELY = 200
 """Iterations after which a judgement no longer counts as of late: who comes back after that praises anew."""
+FULL = 1.0
+"""The best that a teacher can say."""
 FAINT = 0.02
 """Praise counts at most as if the best of late had been this: what is fainter is hardly praise."""
 
@@ -35,18 +37,13 @@ class Praise:
     def best(self, iteration: int) -> float:
         """Return the best of late up to an iteration whose feedback was taken: what its judges gave in a row.
 
-        It is 1, full praise, until they have judged as often as the window is long, within `LATELY` iterations.
+        It is full praise until they have judged as often as the window is long, within `LATELY` iterations.
         """
-        judges, found = self._given[iteration][1], [1.0]
+        judges = self._given[iteration][1]
         before = sorted((i for i in self._given if iteration - LATELY < i <= iteration), reverse=True)
-        for count, i in enumerate(before[: self._window], 1):
-            feedback, of = self._given[i]
-            if of != judges:
-                break
-            found.append(feedback)
-            if count == self._window:
-                return max(found[1:])
-        return max(found)
+        newest = [self._given[i] for i in before[: self._window]]
+        enough = 0 < len(newest) == self._window and all(of == judges for _, of in newest)
+        return max(feedback for feedback, _ in newest) if enough else FULL
 
     def forget(self, oldest: int) -> None:
         """Forget what no longer counts for an iteration from `oldest` on."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_services.mechanism import streams
-from mdb_services.mechanism.learners.contract import Arrays, Learner
+from mdb_services.mechanism.learners.contract import Arrays, Learner, error_of
 from mdb_services.mechanism.network import Floats, Network, Shape
 
 ON = 20.0
@@ -45,8 +45,10 @@ class Committee(Learner):
     def _learn(self, inputs: Floats, targets: Floats, key: int, generations: range) -> None:
         for place, member in enumerate(self._members):
             member._learn(inputs, targets, streams.key(key, f"member {place}"), generations)
-        limit = _error(self._mean(), inputs, targets)
-        errors = [_error(seed, inputs, targets) for seed in self._seeds()]
+        if not len(self._waiting):
+            return
+        limit = error_of(self._mean(), inputs, targets)
+        errors = [error_of(seed, inputs, targets) for seed in self._seeds()]
         self._waiting = self._waiting[[place for place in np.argsort(errors) if errors[place] < limit]]
 
     def _mean(self) -> Network:
@@ -90,10 +92,6 @@ class Committee(Learner):
             for member, arrays in zip(self._members, before, strict=True):
                 member.restore(arrays)
             raise
-
-
-def _error(network: Network, inputs: Floats, targets: Floats) -> float:
-    return float(np.mean(np.square(network.predict(inputs) - targets), dtype=np.float64))
 
 
 def mean(networks: Sequence[Network], room: Shape) -> Network:

@@ -30,6 +30,12 @@ class Best:
     """Hidden units of the network; of a committee's, idle ones too."""
 
 
+def error_of(network: Network, inputs: Floats, targets: Floats) -> float:
+    """Return a network's mean squared error on inputs (n, inputs) and targets (n, outputs); NaN without any."""
+    misses = network.predict(inputs) - targets
+    return float(np.mean(misses**2, dtype=np.float64)) if len(inputs) else float("nan")
+
+
 class Learner(ABC):
     """A learner of one shape. A subclass keeps all that changes in arrays, attributes `_NAME` for `arrays`."""
 
@@ -61,9 +67,7 @@ class Learner(ABC):
             self._learn(inputs, targets, streams.key(self._key, f"version {version}"), range(first, end))
             self._clock[:] = version, end
         network = self._best()
-        misses = network.predict(inputs) - targets
-        error = float(np.mean(misses**2, dtype=np.float64)) if len(inputs) else float("nan")
-        return Best(network, error, network.expressed)
+        return Best(network, error_of(network, inputs, targets), network.expressed)
 
     def seed(self, networks: Sequence[Network]) -> None:
         """Take networks as a starting point: at the next memory the best is no worse than the best of them.
