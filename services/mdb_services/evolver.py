@@ -18,13 +18,13 @@ from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_protocol.codec import MAX_BYTES
 from mdb_protocol.errors import ConfigError, QueryError
-from mdb_services.config import BrainConfig
-from mdb_services.mechanism.encoding import Codebook
+from mdb_services.experiment.brain import BrainConfig
 from mdb_services.mechanism.learners import Best, Learner, make_learner
-from mdb_services.mechanism.network import Floats, Network, Shape
+from mdb_services.mechanism.memories.stm import Change, MemoryMirror, VersionGapError
+from mdb_services.mechanism.networks.encoding import Codebook
+from mdb_services.mechanism.networks.network import Floats, Network, Shape
 from mdb_services.mechanism.settings import DifferentialConfig, EvolutionConfig
-from mdb_services.mechanism.stm import Change, MemoryMirror, VersionGapError
-from mdb_services.snapshot import snapshot_of
+from mdb_services.shell.snapshot import snapshot_of
 
 log = structlog.get_logger()
 

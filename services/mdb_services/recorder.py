@@ -27,7 +27,7 @@ from mdb_protocol.codec import VERSION
 from mdb_protocol.errors import DecodeError, MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
-from mdb_services.config import EXPERIMENT_FILE
+from mdb_services.experiment.brain import EXPERIMENT_FILE
 
 log = structlog.get_logger()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mdb_protocol import messages
-from mdb_sim.robot import Placement, Pose
+from mdb_sim.body import Placement, Pose
 
 
 def placement_of(seen: messages.Placement) -> Placement:

@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from mdb_sim.arena import clearance_m, wrap_rad
-from mdb_sim.kinematic import KinematicRobot
-from mdb_sim.robot import Placement, RobotConfig, Step
-from mdb_sim.teacher import wanted_action
-from mdb_sim.twins import TOUCHING_M
+from mdb_sim.bodies.pioneer.arena import clearance_m, wrap_rad
+from mdb_sim.bodies.pioneer.twin import KinematicRobot
+from mdb_sim.body import Placement, RobotConfig, Step
+from mdb_sim.studies.twins import TOUCHING_M
+from mdb_sim.teaching.teacher import wanted_action
 
 pybullet = pytest.importorskip("pybullet")
-from mdb_sim import pioneer  # noqa: E402  it needs pybullet
+from mdb_sim.bodies.pioneer import physics as pioneer  # noqa: E402  it needs pybullet
 
 SEEDS, ITERATIONS = (204, 205, 206), 150
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mdb_services.mechanism.learners import Learner
-from mdb_services.mechanism.network import Network, Shape
+from mdb_services.mechanism.networks.network import Network, Shape
 
 NOTES = 7
 COMMUNICATION = Shape(NOTES + 1, (16,), 1)

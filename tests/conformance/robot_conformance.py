@@ -10,9 +10,9 @@ import math
 import numpy as np
 import pytest
 
-from mdb_sim.arena import bearing_rad, is_captured
-from mdb_sim.robot import Placement, Pose, Robot, RobotConfig, Step
-from mdb_sim.teacher import wanted_action
+from mdb_sim.bodies.pioneer.arena import bearing_rad, is_captured
+from mdb_sim.body import Placement, Pose, Robot, RobotConfig, Step
+from mdb_sim.teaching.teacher import wanted_action
 
 IN_FRONT = Placement(Pose(0.0, 0.0, 0.5), 0.7 * math.cos(0.5), 0.7 * math.sin(0.5))
 FAR_AWAY = Placement(Pose(0.0, 0.0, 0.0), 4.0, 4.0)

@@ -90,6 +90,6 @@ def test_without_cmaes_the_error_names_the_extra(monkeypatch):
 
 
 def test_reading_an_experiment_file_imports_neither_numba_nor_cmaes():
-    read = "import sys, mdb_services.config; print(sys.modules.keys() & {'numba', 'cmaes'})"
+    read = "import sys, mdb_services.experiment.brain; print(sys.modules.keys() & {'numba', 'cmaes'})"
     done = subprocess.run([sys.executable, "-c", read], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from mdb_sim.kinematic import KinematicRobot
-from mdb_sim.robot import RobotConfig, RobotError, make_robot
+from mdb_sim.bodies.pioneer.twin import KinematicRobot
+from mdb_sim.body import RobotConfig, RobotError, make_robot
 from tests.conformance.robot_conformance import RobotConformance
 
 
@@ -26,7 +26,7 @@ class TestPioneerRobot(RobotConformance):
 
 RUN_IN_A_FRESH_PROCESS = """
 import hashlib
-from mdb_sim.robot import make_robot
+from mdb_sim.body import make_robot
 robot = make_robot("pybullet")
 steps = [robot.reset(11), *(robot.act(index % robot.actions) for index in range(40))]
 print(hashlib.sha256(repr(steps).encode()).hexdigest())
@@ -45,7 +45,7 @@ def test_pybullet_runs_alike_in_fresh_processes():
 
 
 def test_a_body_of_another_make_is_found_by_module_and_factory():
-    robot = make_robot("mdb_sim.kinematic:KinematicRobot", RobotConfig(advance_m=0.1))
+    robot = make_robot("mdb_sim.bodies.pioneer.twin:KinematicRobot", RobotConfig(advance_m=0.1))
     assert isinstance(robot, KinematicRobot)
     assert robot.config.advance_m == 0.1
 
@@ -55,8 +55,8 @@ def test_a_body_of_another_make_is_found_by_module_and_factory():
     [
         ("rover", "no body named 'rover'; expected 'kinematic', 'pybullet' or 'package.module:Factory'"),
         ("no.such.module:Robot", "install it, or mend the name"),
-        ("mdb_sim.kinematic:Rover", "no callable 'Rover'"),
-        ("mdb_sim.robot:RobotConfig", "could not be made"),
+        ("mdb_sim.bodies.pioneer.twin:Rover", "no callable 'Rover'"),
+        ("mdb_sim.body:RobotConfig", "could not be made"),
         ("builtins:type", "without actions, placement, reset"),
     ],
 )
@@ -73,7 +73,7 @@ def test_without_pybullet_the_error_names_the_extra_and_the_other_body(monkeypat
             raise ModuleNotFoundError("No module named 'pybullet'", name="pybullet")
         return real_import(name, *args, **kwargs)
 
-    monkeypatch.delitem(sys.modules, "mdb_sim.pioneer", raising=False)
+    monkeypatch.delitem(sys.modules, "mdb_sim.bodies.pioneer.physics", raising=False)
     monkeypatch.delitem(sys.modules, "pybullet", raising=False)
     monkeypatch.setattr(builtins, "__import__", without_pybullet)
     with pytest.raises(RobotError, match=r"pip install .*\[pybullet\].*body='kinematic'"):

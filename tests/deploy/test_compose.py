@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from mdb_deploy.cli import experiment_path
-from mdb_deploy.compose import COMPOSE_FILE, fill, for_experiment, in_order, read
+from mdb_deploy.experiments import experiment_path
+from mdb_deploy.running.compose import COMPOSE_FILE, fill, for_experiment, in_order, read
 from mdb_protocol.errors import ConfigError
-from mdb_sim.experiment import Experiment
+from mdb_sim.runs.experiment import Experiment
 
 
 def experiment(*settings: str) -> Experiment:

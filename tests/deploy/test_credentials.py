@@ -15,9 +15,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from mdb_deploy import access
-from mdb_deploy.cli import main
-from mdb_deploy.credentials import KeyFolder
+from mdb_deploy.cli.main import main
+from mdb_deploy.keys import access
+from mdb_deploy.keys.credentials import KeyFolder
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import BusError, ConfigError
 from mdb_protocol.keys import KEYS

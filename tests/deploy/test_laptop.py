@@ -45,7 +45,8 @@ def test_a_scripted_teacher_needs_the_base_packages_only() -> None:
     ("words", "extra"), [(["teach"], "teach"), (["status"], "brain"), (["up"], "brain"), (["keys", "init"], "brain")]
 )
 def test_what_is_missing_is_said_with_its_remedy(words: list[str], extra: str, tmp_path: Path) -> None:
-    code = f"import os; os.chdir({str(tmp_path)!r}); from mdb_deploy.cli import main; raise SystemExit(main({words}))"
+    where = f"import os; os.chdir({str(tmp_path)!r})"
+    code = f"{where}; from mdb_deploy.cli.main import main; raise SystemExit(main({words}))"
     done = run(code)
     assert done.returncode == 2, done.stderr
     assert f"multilevel-darwinist-brain[{extra}]" in done.stderr

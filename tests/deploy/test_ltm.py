@@ -6,17 +6,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from mdb_deploy import ltm
-from mdb_deploy.cli import EXPERIMENTS, main
+from mdb_deploy.cli.main import main
+from mdb_deploy.experiments import EXPERIMENTS
+from mdb_deploy.runs import ltm
 from mdb_protocol import messages
-from mdb_services.config import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.mechanism.learners import make_learner
-from mdb_services.mechanism.network import Shape
+from mdb_services.mechanism.networks.network import Shape
 from mdb_services.mechanism.settings import LEARNER_CONFIGS
-from mdb_services.memory_file import MemoryFile
-from mdb_sim.experiment import Experiment
-from mdb_sim.measures import captures
-from mdb_sim.record import read_record
+from mdb_services.memory.file import MemoryFile
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.measures import captures
+from mdb_sim.runs.record import read_record
 
 KINEMATIC = ["--set", "robot.body=kinematic"]
 

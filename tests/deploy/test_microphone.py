@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mdb_deploy import microphone
-from mdb_deploy.microphone import FRAME_S, Microphone, MicrophoneError
+from mdb_deploy.teach import microphone
+from mdb_deploy.teach.microphone import FRAME_S, Microphone, MicrophoneError
 
 
 def ignore(_samples: np.ndarray[Any, Any], _rate_hz: int) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mdb_deploy.cli import main
+from mdb_deploy.cli.main import main
 from mdb_protocol.keys import table
 
 ROOT = Path(__file__).parents[2]

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from mdb_deploy import runner as module
-from mdb_deploy.compose import ProcessSpec
-from mdb_deploy.runner import BACKOFF_S, QUICK_DEATHS, Child, Runner, StartError
+from mdb_deploy.running import runner as module
+from mdb_deploy.running.compose import ProcessSpec
+from mdb_deploy.running.runner import BACKOFF_S, QUICK_DEATHS, Child, Runner, StartError
 
 BOUND_S = 20.0
 READY = "import pathlib, time; pathlib.Path({flag!r}).touch(); "

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from mdb_deploy import status
-from mdb_deploy.status import Row, rows_of
+from mdb_deploy.running import status
+from mdb_deploy.running.status import Row, rows_of
 from mdb_protocol import keys
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import Status

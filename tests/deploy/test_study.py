@@ -18,11 +18,13 @@ import structlog
 import tomli_w
 from rich.console import Console
 
-from mdb_deploy.cli import experiment_path, main
-from mdb_deploy.studies import processes, sweep
+from mdb_deploy.cli.main import main
+from mdb_deploy.experiments import experiment_path
+from mdb_deploy.studies import sweep
+from mdb_deploy.studies import workers as processes
 from mdb_deploy.studies.sweep import Sweep
 from mdb_protocol.errors import ConfigError
-from mdb_sim.experiment import Experiment
+from mdb_sim.runs.experiment import Experiment
 from mdb_sim.studies import results, running, tables
 from mdb_sim.studies.catalogue import ACCEPTANCE, STUDIES
 from mdb_sim.studies.results import decode

@@ -20,18 +20,18 @@ pytest.importorskip("textual")
 from textual.pilot import Pilot
 from textual.widgets import Static
 
-from mdb_deploy.credentials import KeyFolder
-from mdb_deploy.teach.app import SessionThread, TeachApp
+from mdb_deploy.keys.credentials import KeyFolder
 from mdb_deploy.teach.keyboard import NOTE_KEYS, graded
-from mdb_deploy.teach.language import LanguageScreen
+from mdb_deploy.teach.screen.app import SessionThread, TeachApp
+from mdb_deploy.teach.screen.language import LanguageScreen
 from mdb_deploy.teach.session import TeachingSession
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Inbox
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.roles import Role
 from mdb_protocol.zenoh_bus import Router, ZenohBus
-from mdb_sim.robot import RobotConfig
-from mdb_sim.teacher import make_language
+from mdb_sim.body import RobotConfig
+from mdb_sim.teaching.teacher import make_language
 from tests.integration.brain import BRAIN, Brain, mdb, until
 
 ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"
@@ -363,7 +363,7 @@ class Blocked:
         if name.partition(".")[0] in {BLOCKED!r}:
             raise ModuleNotFoundError(f"blocked: {{name}}", name=name)
 sys.meta_path.insert(0, Blocked())
-from mdb_deploy.cli import main
+from mdb_deploy.cli.main import main
 sys.exit(main(sys.argv[1:]))
 """
 

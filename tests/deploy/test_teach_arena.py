@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from mdb_deploy.teach.arena import ECHO, OBJECT, ROBOT, SPANS_M, Picture, Window, draw, echo, follow
-from mdb_sim.perceive import fold
-from mdb_sim.robot import Placement, Pose, RobotConfig
+from mdb_deploy.teach.screen.arena import ECHO, OBJECT, ROBOT, SPANS_M, Picture, Window, draw, echo, follow
+from mdb_sim.bodies.pioneer.perceive import fold
+from mdb_sim.body import Placement, Pose, RobotConfig
 
 WORLD = RobotConfig()
 COLUMNS, ROWS = 40, 20

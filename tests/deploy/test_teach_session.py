@@ -7,21 +7,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from mdb_deploy.cli import experiment_path
-from mdb_deploy.teach import panel
+from mdb_deploy.experiments import experiment_path
 from mdb_deploy.teach.record import CAPTURES_IN, ERROR_MEAN, OBEDIENCE_OF
+from mdb_deploy.teach.screen import panel
 from mdb_deploy.teach.session import WITHOUT_EFFECT, TeachingSession
 from mdb_deploy.teach.view import View, meaning, swapped
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.ear import Ear
-from mdb_services.service import announce
-from mdb_sim.experiment import Experiment
-from mdb_sim.robot import RobotConfig
-from mdb_sim.schedule import TeacherSection, schedule_of
-from mdb_sim.sound import Player, SoundSection
-from mdb_sim.teacher import make_language
-from mdb_sim.teacher_service import ScriptedTeacher
+from mdb_services.hearing.ear import Ear
+from mdb_services.shell.service import announce
+from mdb_sim.body import RobotConfig
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.teaching.schedule import TeacherSection, schedule_of
+from mdb_sim.teaching.service import ScriptedTeacher
+from mdb_sim.teaching.sound import Player, SoundSection
+from mdb_sim.teaching.teacher import make_language
 
 BRAIN, ANN = "test", "ann"
 TURNS = RobotConfig().turns_deg

@@ -17,7 +17,7 @@ import pytest
 
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.config import MEMORY_FILE
+from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_services.recorder import read_log
 from tests.integration.brain import until
 
@@ -35,7 +35,11 @@ BOUND_S = 90.0
 
 def words(command: list[str], endpoint: str = ENDPOINT) -> list[str]:
     """A command of the tutorial with the executables, the examples and the router of this test."""
-    replaced = {"mdb": [sys.executable, "-m", "mdb_deploy.cli"], "python": [sys.executable], ENDPOINT: [endpoint]}
+    replaced = {
+        "mdb": [sys.executable, "-m", "mdb_deploy.cli"],
+        "python": [sys.executable],
+        ENDPOINT: [endpoint],
+    }
     return [part for word in command for part in replaced.get(word, [word])]
 
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from mdb_deploy.witness import compare, write_down
+from mdb_deploy.trials.witness import compare, write_down
 from mdb_protocol import keys, messages
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.memory_file import MemoryFile
+from mdb_services.memory.file import MemoryFile
 
 BRAIN = "test"
 

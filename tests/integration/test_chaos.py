@@ -6,18 +6,18 @@ from typing import Any
 
 import pytest
 
-from mdb_deploy.chaos import ChaosOptions, run
-from mdb_deploy.cli import experiment_path
-from mdb_deploy.compose import for_experiment, read
-from mdb_deploy.soak import SoakOptions
-from mdb_deploy.soak import run as soak_run
-from mdb_deploy.under_test import long_experiment
+from mdb_deploy.experiments import experiment_path
+from mdb_deploy.running.compose import for_experiment, read
+from mdb_deploy.trials.chaos import ChaosOptions, run
+from mdb_deploy.trials.soak import SoakOptions
+from mdb_deploy.trials.soak import run as soak_run
+from mdb_deploy.trials.under_test import long_experiment
 from mdb_protocol import codec, messages
-from mdb_services.config import MEMORY_FILE
-from mdb_sim.experiment import ROBOT_FILE
-from mdb_sim.inline import run_experiment
-from mdb_sim.record import read_record
-from mdb_sim.state_file import StateFile
+from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_sim.robot.state_file import StateFile
+from mdb_sim.runs.experiment import ROBOT_FILE
+from mdb_sim.runs.inline import run_experiment
+from mdb_sim.runs.record import read_record
 from tests.integration.brain import SHORT
 
 pytestmark = pytest.mark.long

@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from mdb_deploy.cli import experiment_path
+from mdb_deploy.experiments import experiment_path
 from mdb_protocol import keys
 from mdb_protocol.codec import to_plain
 from mdb_services.recorder import read_log
-from mdb_sim.compare import timeless
-from mdb_sim.experiment import Experiment
-from mdb_sim.inline import run_experiment
-from mdb_sim.replay import Run, replay, roles
+from mdb_sim.runs.compare import timeless
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.inline import run_experiment
+from mdb_sim.runs.replay import Run, replay, roles
 from tests.integration.brain import SHORT, Brain
 
 EXPERIMENT = experiment_path("paper")

@@ -19,7 +19,7 @@ from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import TAPPED, Raw
 from mdb_protocol.keys import Delivery
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.config import MEMORY_FILE
+from mdb_services.experiment.brain import MEMORY_FILE
 from tests.integration.brain import BRAIN, Brain, until
 from tests.integration.junk import Maker
 from tests.integration.test_survival import LONG

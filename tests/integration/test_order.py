@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mdb_deploy.cli import experiment_path
+from mdb_deploy.experiments import experiment_path
 from mdb_protocol.memory_bus import MemoryBus
 from mdb_services.recorder import Recorder
-from mdb_sim.experiment import Experiment
-from mdb_sim.inline import run_experiment
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.inline import run_experiment
 from tests.integration.brain import SHORT
 from tests.integration.test_experiment import RESTLESS, repeatable
 from tests.integration.test_resume import Mortal

@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 import zenoh
 
-from mdb_deploy.processes import ROUTER_CONFIG
+from mdb_deploy.running.processes import ROUTER_CONFIG
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.messages import Message
 from mdb_protocol.zenoh_bus import Router, ZenohBus
-from mdb_services.config import MEMORY_FILE
-from mdb_services.memory_file import PAGE
-from mdb_services.optimizer import UNSTORED
+from mdb_services.acting.optimizer import UNSTORED
+from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.memory.file import PAGE
 from mdb_services.recorder import read_log
 from tests.integration.brain import BRAIN, SHORT, Brain, mdb, until
 from tests.integration.ears import Ears, frozen, longest_gap_s, of, stored_iterations

@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from mdb_protocol import codec, keys, messages
-from mdb_services.config import MEMORY_FILE
+from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_services.recorder import Recorded, read_log
-from mdb_sim.experiment import ROBOT_FILE
-from mdb_sim.state_file import StateFile
+from mdb_sim.robot.state_file import StateFile
+from mdb_sim.runs.experiment import ROBOT_FILE
 from tests.integration.brain import SHORT, Brain, mdb, until
 from tests.integration.ears import stored_iterations
 from tests.integration.namespaces import HERE, Namespaces, why_not

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import tomli_w
 
-from mdb_deploy.cli import experiment_path
+from mdb_deploy.experiments import experiment_path
 from mdb_protocol import keys, messages
-from mdb_sim.experiment import Experiment
+from mdb_sim.runs.experiment import Experiment
 from tests.integration.brain import Brain, until
 
 README = Path(__file__).parents[2] / "README.md"

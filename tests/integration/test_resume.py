@@ -9,17 +9,17 @@ import numpy as np
 import psutil
 import pytest
 
-from mdb_deploy.cli import experiment_path
+from mdb_deploy.experiments import experiment_path
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import MEMORY_FILE
+from mdb_services.acting.optimizer import Optimizer
 from mdb_services.evolver import Evolver
-from mdb_services.memory_file import MemoryFile
-from mdb_services.memory_store import MemoryStore
-from mdb_services.optimizer import Optimizer
+from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.memory.file import MemoryFile
+from mdb_services.memory.store import MemoryStore
 from mdb_services.recorder import read_log
-from mdb_services.service import Service, announce
-from mdb_sim.experiment import Experiment
+from mdb_services.shell.service import Service, announce
+from mdb_sim.runs.experiment import Experiment
 from tests.integration.brain import SHORT, Brain, mdb, until
 
 ROUNDS = 20_000

@@ -15,7 +15,7 @@ import pytest
 import zenoh
 from zenoh import ext
 
-from mdb_deploy.credentials import KeyFolder
+from mdb_deploy.keys.credentials import KeyFolder
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.bus import Bus, Inbox, Tap
@@ -405,7 +405,7 @@ def test_a_teachers_certificate_does_not_make_a_router(place: Place) -> None:
 def test_an_expired_certificate_is_refused_by_both_sides(
     place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from mdb_deploy import credentials
+    from mdb_deploy.keys import credentials
 
     class LongAgo(datetime):
         @classmethod

@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mdb_services.mechanism.context import ContextConfig, ContextDetector
-from mdb_services.mechanism.encoding import Channel, Codebook
-from mdb_services.mechanism.stm import MemoryConfig, ShortTermMemory
+from mdb_services.mechanism.memories.context import ContextConfig, ContextDetector
+from mdb_services.mechanism.memories.stm import MemoryConfig, ShortTermMemory
+from mdb_services.mechanism.networks.encoding import Channel, Codebook
 
 fixed = settings(derandomize=True, deadline=None, max_examples=100)
 

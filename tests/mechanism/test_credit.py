@@ -5,8 +5,8 @@ from itertools import count
 import numpy as np
 import pytest
 
-from mdb_services.mechanism.credit import KEPT, Credit
-from mdb_services.mechanism.network import Floats
+from mdb_services.mechanism.feedback.credit import KEPT, Credit
+from mdb_services.mechanism.networks.network import Floats
 
 LAGS, NOTES, ACTIONS = 7, 5, 5
 PATIENCE = 40

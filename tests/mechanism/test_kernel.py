@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numba import njit
 from numba.core.errors import TypingError
 
-from mdb_services.mechanism.kernel import (
+from mdb_services.mechanism.evolution.kernel import (
     BLOCK,
     LANES,
     TANH_ERROR,
@@ -18,7 +18,7 @@ from mdb_services.mechanism.kernel import (
     tanh32,
     tanh_pair,
 )
-from mdb_services.mechanism.network import Shape
+from mdb_services.mechanism.networks.network import Shape
 
 shapes = st.builds(
     Shape, st.integers(1, 9), st.lists(st.integers(1, 9), min_size=1, max_size=3).map(tuple), st.integers(1, 4)

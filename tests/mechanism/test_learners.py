@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mdb_services.mechanism.learners import make_learner
 from mdb_services.mechanism.learners.adam import gradient
 from mdb_services.mechanism.learners.committee import Committee, mean, parts
-from mdb_services.mechanism.network import Network, Shape
+from mdb_services.mechanism.networks.network import Network, Shape
 from mdb_services.mechanism.settings import LEARNER_CONFIGS, AdamConfig, CmaConfig, EvolutionConfig, RidgeConfig
 
 SHAPE = Shape(2, (3,), 1)

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mdb_services.mechanism.ltm import LongTermConfig, LongTermMemory, Stability, Stored, sample_of
-from mdb_services.mechanism.network import Network
+from mdb_services.mechanism.memories.ltm import LongTermConfig, LongTermMemory, Stability, Stored, sample_of
+from mdb_services.mechanism.networks.network import Network
 
 fixed = settings(derandomize=True, deadline=None, max_examples=100)
 

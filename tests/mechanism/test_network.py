@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mdb_services.mechanism.network import Network, Shape
+from mdb_services.mechanism.networks.network import Network, Shape
 
 sizes = st.tuples(
     st.integers(1, 6), st.lists(st.integers(0, 7), min_size=1, max_size=3).map(tuple), st.integers(1, 4)

@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mdb_services.mechanism import operators
-from mdb_services.mechanism.kernel import VERSION, in_blocks
-from mdb_services.mechanism.network import Shape, split_layers
-from mdb_services.mechanism.operators import ROW, Settings
+from mdb_services.mechanism.evolution import operators
+from mdb_services.mechanism.evolution.kernel import VERSION, in_blocks
+from mdb_services.mechanism.evolution.operators import ROW, Settings
+from mdb_services.mechanism.networks.network import Shape, split_layers
 from mdb_services.mechanism.settings import EvolutionConfig
 
 SHAPES = [Shape(3, (4,), 2), Shape(20, (17,), 3), Shape(2, (5, 18, 3), 2)]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mdb_services.mechanism.learners.pbga import PromoterGA
-from mdb_services.mechanism.network import Network, Shape
+from mdb_services.mechanism.networks.network import Network, Shape
 from mdb_services.mechanism.settings import EvolutionConfig
 
 NOTES = 7

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mdb_services.mechanism.praise import FAINT, LATELY, Praise, worth
+from mdb_services.mechanism.feedback.praise import FAINT, LATELY, Praise, worth
 
 feedback = st.floats(-1, 1)
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mdb_services.mechanism.sharing import share
+from mdb_services.mechanism.feedback.sharing import share
 
 ROW = hnp.arrays(np.float32, (8, 2), elements=st.floats(-1, 1, width=32) | st.just(np.nan))
 

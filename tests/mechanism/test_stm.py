@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mdb_services.mechanism.stm import Change, MemoryConfig, MemoryMirror, ShortTermMemory, VersionGapError
+from mdb_services.mechanism.memories.stm import Change, MemoryConfig, MemoryMirror, ShortTermMemory, VersionGapError
 
 fixed = settings(derandomize=True, deadline=None, max_examples=60)
 MIXED = MemoryConfig(recency=0.3, distance=1, entry_error=0.2)

@@ -4,7 +4,7 @@ import sys
 import numpy as np
 import pytest
 
-from mdb_services.mechanism import streams
+from mdb_services.mechanism.networks import streams
 
 
 def test_same_arguments_give_the_same_numbers() -> None:
@@ -19,7 +19,7 @@ def test_any_other_argument_gives_other_numbers(other: tuple[int, str, int]) -> 
 
 
 def test_key_is_the_same_in_another_process() -> None:
-    code = "from mdb_services.mechanism.streams import key; print(key(3, 'x'))"
+    code = "from mdb_services.mechanism.networks.streams import key; print(key(3, 'x'))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert int(said) == streams.key(3, "x")
     assert 0 <= int(said) < 2**64

@@ -14,14 +14,14 @@ from tempfile import TemporaryDirectory
 
 from mcap.writer import Writer
 
-from mdb_deploy.cli import experiment_path
+from mdb_deploy.experiments import experiment_path
 from mdb_protocol import codec, keys
 from mdb_protocol.messages import Message
-from mdb_services.config import EXPERIMENT_FILE
+from mdb_services.experiment.brain import EXPERIMENT_FILE
 from mdb_services.recorder import read_log
-from mdb_sim.compare import timeless
-from mdb_sim.experiment import Experiment
-from mdb_sim.inline import run_experiment
+from mdb_sim.runs.compare import timeless
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.inline import run_experiment
 from tests.integration.brain import SHORT
 from tests.integration.test_experiment import RESTLESS
 

@@ -12,20 +12,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from mdb_deploy.cli import experiment_path, main
+from mdb_deploy.cli.main import main
+from mdb_deploy.experiments import experiment_path
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import read
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import MemoryBus
 from mdb_protocol.messages import Message
-from mdb_services.config import EXPERIMENT_FILE
+from mdb_services.experiment.brain import EXPERIMENT_FILE
 from mdb_services.recorder import Recorded, Recorder, read_log
-from mdb_services.service import Service
-from mdb_sim import replay as module
-from mdb_sim.compare import within
-from mdb_sim.experiment import Experiment
-from mdb_sim.inline import run_experiment
-from mdb_sim.replay import Role, Run, raw_of, replay, roles
+from mdb_services.shell.service import Service
+from mdb_sim.runs import replay as module
+from mdb_sim.runs.compare import within
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.inline import run_experiment
+from mdb_sim.runs.replay import Role, Run, raw_of, replay, roles
 from tests.integration.brain import SHORT
 from tests.integration.test_resume import IMPATIENT, Mortal
 from tests.replay.record import GOLDEN, PROCESSOR_FILE, RUNS, processor

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from mdb_protocol import messages
-from mdb_services.config import BrainConfig, brain_config
-from mdb_services.mechanism.network import Network
-from mdb_services.mechanism.stm import Change, MemoryMirror
+from mdb_services.experiment.brain import BrainConfig, brain_config
+from mdb_services.mechanism.memories.stm import Change, MemoryMirror
+from mdb_services.mechanism.networks.network import Network
 from tests.services.small import BRAIN
 
 NAME = "communication"

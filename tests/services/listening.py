@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.config import EarSection
-from mdb_services.pitch import Heard, NoteDetector
-from mdb_sim.sound import INSTRUMENTS, InstrumentName, NoiseName, mix, noise, play, to_int16
+from mdb_services.experiment.brain import EarSection
+from mdb_services.hearing.pitch import Heard, NoteDetector
+from mdb_sim.teaching.sound import INSTRUMENTS, InstrumentName, NoiseName, mix, noise, play, to_int16
 
 RATE_HZ = 16_000
 EAR = EarSection()

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mdb_protocol import messages
-from mdb_services.config import BrainConfig, brain_config
+from mdb_services.experiment.brain import BrainConfig, brain_config
 
 BRAIN = "test"
 

@@ -8,9 +8,9 @@ import msgspec
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import Inbox
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import BrainConfig
-from mdb_services.memory_file import MemoryFile
-from mdb_services.memory_store import MemoryStore
+from mdb_services.experiment.brain import BrainConfig
+from mdb_services.memory.file import MemoryFile
+from mdb_services.memory.store import MemoryStore
 from tests.services.small import BRAIN
 
 ITERATIONS = 1000

@@ -22,8 +22,8 @@ from mdb_services.mechanism.choice import (
     shortfall,
     supported,
 )
-from mdb_services.mechanism.encoding import Channel, Codebook, gather
-from mdb_services.mechanism.network import Network
+from mdb_services.mechanism.networks.encoding import Channel, Codebook, gather
+from mdb_services.mechanism.networks.network import Network
 
 ACTIONS = 5
 UNTRIED = np.full(ACTIONS, -1)

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mdb_protocol.errors import ConfigError
-from mdb_services.config import brain_config, read_file
-from mdb_services.mechanism.context import ContextConfig
-from mdb_services.mechanism.ltm import LongTermConfig
+from mdb_services.experiment.brain import brain_config, read_file
+from mdb_services.mechanism.memories.context import ContextConfig
+from mdb_services.mechanism.memories.ltm import LongTermConfig
 from mdb_services.mechanism.settings import AdamConfig, RidgeConfig
 from tests.services.small import CONTENT, config, content
 

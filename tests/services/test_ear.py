@@ -8,8 +8,8 @@ import pytest
 from mdb_protocol import keys, messages
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services import ear as ear_module
-from mdb_services.ear import Ear
+from mdb_services.hearing import ear as ear_module
+from mdb_services.hearing.ear import Ear
 from tests.services.listening import EAR, RATE_HZ, Clip, clip, noise_clip
 from tests.services.small import BRAIN, config
 

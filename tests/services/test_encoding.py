@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mdb_services.mechanism.encoding import Channel, Codebook, gather
+from mdb_services.mechanism.networks.encoding import Channel, Codebook, gather
 
 fixed = settings(derandomize=True, deadline=None, max_examples=60)
 

@@ -12,9 +12,9 @@ from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import Raw
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import BrainConfig, brain_config
 from mdb_services.evolver import Evolver
-from mdb_services.mechanism.network import Network
+from mdb_services.experiment.brain import BrainConfig, brain_config
+from mdb_services.mechanism.networks.network import Network
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, content, model
 
 NAME, CAPACITY, GENERATIONS = "object", 4, 2

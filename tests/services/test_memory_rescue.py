@@ -8,9 +8,9 @@ import pytest
 
 from mdb_protocol import codec, keys
 from mdb_protocol.errors import DamageError, MdbError
-from mdb_services.config import BrainConfig
-from mdb_services.memory_file import PAGE, MemoryFile
-from mdb_services.memory_rescue import rescue, survey
+from mdb_services.experiment.brain import BrainConfig
+from mdb_services.memory.file import PAGE, MemoryFile
+from mdb_services.memory.rescue import rescue, survey
 from tests.services import languages
 from tests.services.languages import Student
 from tests.services.store_rig import ITERATIONS, Rig, taken

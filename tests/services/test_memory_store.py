@@ -10,11 +10,11 @@ import pytest
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import BrainConfig, brain_config
-from mdb_services.elsewhere import BELIEVED_AFTER_S
-from mdb_services.mechanism.praise import LATELY
-from mdb_services.memory_file import MemoryFile
-from mdb_services.memory_store import RETRY_S, MemoryStore
+from mdb_services.experiment.brain import BrainConfig, brain_config
+from mdb_services.mechanism.feedback.praise import LATELY
+from mdb_services.memory.file import MemoryFile
+from mdb_services.memory.store import RETRY_S, MemoryStore
+from mdb_services.shell.elsewhere import BELIEVED_AFTER_S
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, pair
 from tests.services.store_rig import ITERATIONS, Rig, taken
 

@@ -19,11 +19,11 @@ import pytest
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import BrainConfig
 from mdb_services.evolver import Evolver
-from mdb_services.mechanism.network import Network
-from mdb_services.memory_file import MemoryFile
-from mdb_services.memory_store import RETRY_S, MemoryStore
+from mdb_services.experiment.brain import BrainConfig
+from mdb_services.mechanism.networks.network import Network
+from mdb_services.memory.file import MemoryFile
+from mdb_services.memory.store import RETRY_S, MemoryStore
 from tests.services.languages import NAME, SPEAKS, Student, config, current, feedback, language_of, pair
 from tests.services.small import BRAIN
 from tests.services.store_rig import Rig, taken

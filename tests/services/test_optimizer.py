@@ -8,10 +8,10 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import BrainConfig, brain_config
-from mdb_services.elsewhere import BELIEVED_AFTER_S
-from mdb_services.optimizer import ENDING_S, UNSTORED, Optimizer
-from mdb_services.teachers import KEPT_AHEAD
+from mdb_services.acting.optimizer import ENDING_S, UNSTORED, Optimizer
+from mdb_services.acting.teachers import KEPT_AHEAD
+from mdb_services.experiment.brain import BrainConfig, brain_config
+from mdb_services.shell.elsewhere import BELIEVED_AFTER_S
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, content, model, perception
 
 OPTIMIZER = CONTENT["optimizer"]

@@ -16,10 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mdb_protocol.errors import ConfigError
-from mdb_services import pitch
-from mdb_services.config import EarSection, convert
-from mdb_services.pitch import Heard, NoteDetector
-from mdb_sim.sound import INSTRUMENTS, NOISES, InstrumentName, mix, noise, play, to_int16
+from mdb_services.experiment.brain import EarSection, convert
+from mdb_services.hearing import pitch
+from mdb_services.hearing.pitch import Heard, NoteDetector
+from mdb_sim.teaching.sound import INSTRUMENTS, NOISES, InstrumentName, mix, noise, play, to_int16
 from tests.services.listening import EAR, RATE_HZ, Clip, clip, listen, melody, noise_clip, notes_in
 
 NOTES = range(len(EAR.notes_hz))

@@ -9,7 +9,7 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.service import FAILURES_IN_A_ROW, Meter, Stopper, announce, run, run_inline
+from mdb_services.shell.service import FAILURES_IN_A_ROW, Meter, Stopper, announce, run, run_inline
 
 BRAIN, BOUND_S = "test", 5.0
 

@@ -3,7 +3,7 @@
 import pytest
 
 from mdb_protocol.messages import Command, Feedback
-from mdb_services.teachers import KEPT_AHEAD, KEPT_TEACHERS, Teachers, Verdict
+from mdb_services.acting.teachers import KEPT_AHEAD, KEPT_TEACHERS, Teachers, Verdict
 
 ANNA, BEN, BOTH, SCRIPT = (
     frozenset(f"teacher/{n}" for n in names) for names in (["a"], ["b"], ["a", "b"], ["script"])

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mdb_sim.report.acceptance import (
+from mdb_sim.verdicts.acceptance import (
     acceptance_table,
     error_without_obedience,
     failure_rate,

@@ -5,8 +5,15 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mdb_sim.arena import bearing_rad, clearance_m, draw_placement, is_captured, stream, surface_distance_m
-from mdb_sim.robot import Placement, Pose, RobotConfig
+from mdb_sim.bodies.pioneer.arena import (
+    bearing_rad,
+    clearance_m,
+    draw_placement,
+    is_captured,
+    stream,
+    surface_distance_m,
+)
+from mdb_sim.body import Placement, Pose, RobotConfig
 
 CONFIG = RobotConfig()
 seeds = st.integers(0, 2**64 - 1)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from mdb_protocol.errors import ConfigError
-from mdb_sim.experiment import Experiment
-from mdb_sim.measures import capture_window
-from mdb_sim.record import RunRecord
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.measures import capture_window
+from mdb_sim.runs.record import RunRecord
 from mdb_sim.studies import baselines
 from mdb_sim.studies.gaussian import Bandit, Induced, posterior
 from mdb_sim.studies.ideal import ideal_captures
 from mdb_sim.studies.rows import rows_of
-from mdb_sim.teacher import graded_feedback, make_language, turn_ranks
+from mdb_sim.teaching.teacher import graded_feedback, make_language, turn_ranks
 from tests.sim.test_measures import PAPER, TURNS
 
 SHORT = (
@@ -53,7 +53,7 @@ def test_a_foreign_body_and_a_run_that_ended_before_have_no_ideal(tmp_path: Path
     record = played("random", tmp_path / "run")
     assert math.isnan(ideal_captures(record, (700, 900)))
     assert record.experiment.robot.body == "kinematic"
-    foreign = Experiment.read(PAPER, (*SHORT, "robot.body=mdb_sim.kinematic:KinematicRobot"))
+    foreign = Experiment.read(PAPER, (*SHORT, "robot.body=mdb_sim.bodies.pioneer.twin:KinematicRobot"))
     assert math.isnan(ideal_captures(replace(record, experiment=foreign), (400, 650)))
 
 

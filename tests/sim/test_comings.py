@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mdb_sim import measures
-from mdb_sim.record import ABSENT, RunRecord, Span
-from mdb_sim.report.comings import (
+from mdb_sim.figures.drawings import draw_comings
+from mdb_sim.runs import measures
+from mdb_sim.runs.record import ABSENT, RunRecord, Span
+from mdb_sim.studies.rows import rows_of
+from mdb_sim.verdicts.comings import (
     Coming,
     ComingsRow,
     comings_row,
@@ -19,8 +21,6 @@ from mdb_sim.report.comings import (
     own_firsts,
     ratio_of,
 )
-from mdb_sim.report.drawings import draw_comings
-from mdb_sim.studies.rows import rows_of
 from tests.sim.test_measures import ONE, write_run
 
 INF, NAN = math.inf, math.nan

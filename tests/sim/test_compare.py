@@ -8,7 +8,7 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.messages import Message
-from mdb_sim.compare import Comparison, difference, timeless, within
+from mdb_sim.runs.compare import Comparison, difference, timeless, within
 from tests.services.small import BRAIN, model, pair, perception
 
 PAIR = keys.PAIR.at(BRAIN)

@@ -9,11 +9,11 @@ from mdb_protocol import keys
 from mdb_protocol.codec import to_plain
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import read_file
+from mdb_services.experiment.brain import read_file
 from mdb_services.recorder import read_log
-from mdb_sim.compare import timeless
-from mdb_sim.experiment import Experiment
-from mdb_sim.inline import run_experiment
+from mdb_sim.runs.compare import timeless
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.inline import run_experiment
 
 PAPER = Path(__file__).parents[2] / "deploy" / "experiments" / "paper.toml"
 SHORT = [

@@ -9,9 +9,9 @@ import pytest
 
 from mdb_protocol import keys
 from mdb_protocol.errors import MdbError
-from mdb_sim.figures import band, draw, draw_band
-from mdb_sim.record import Episode
-from mdb_sim.trajectories import captured, typical
+from mdb_sim.figures.four_to_six import band, draw, draw_band
+from mdb_sim.runs.record import Episode
+from mdb_sim.runs.trajectories import captured, typical
 from tests.sim.test_measures import Log, place, report, scene, write_run
 
 NAMES = ["figure4", "figure5", "figure6"]

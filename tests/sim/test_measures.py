@@ -13,15 +13,15 @@ from mdb_protocol.errors import MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import CurrentModel, IterationReport, Message, Pair, Phase, Placement, Scene, Timing
-from mdb_services.config import read_file
-from mdb_services.mechanism.network import Network
+from mdb_services.experiment.brain import read_file
+from mdb_services.mechanism.networks.network import Network
 from mdb_services.recorder import Recorder
-from mdb_sim import measures
-from mdb_sim.experiment import Experiment
-from mdb_sim.record import EXPERIMENT_FILE, RunRecord, read_record
-from mdb_sim.report.acceptance import acceptance_table
+from mdb_sim.runs import measures
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.record import EXPERIMENT_FILE, RunRecord, read_record
 from mdb_sim.studies.rows import rows_of
-from mdb_sim.teacher import Language, graded_feedback, make_language, turn_ranks
+from mdb_sim.teaching.teacher import Language, graded_feedback, make_language, turn_ranks
+from mdb_sim.verdicts.acceptance import acceptance_table
 
 PAPER = Path(__file__).parents[2] / "deploy" / "experiments" / "paper.toml"
 TURNS = (0.0, -20.0, -45.0, -90.0, 20.0, 45.0, 90.0)

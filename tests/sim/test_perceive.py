@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mdb_sim.arena import wrap_rad
-from mdb_sim.kinematic import KinematicRobot
-from mdb_sim.perceive import fold, locate, perceive, unfold
-from mdb_sim.robot import Placement, Pose, RobotConfig
+from mdb_sim.bodies.pioneer.arena import wrap_rad
+from mdb_sim.bodies.pioneer.perceive import fold, locate, perceive, unfold
+from mdb_sim.bodies.pioneer.twin import KinematicRobot
+from mdb_sim.body import Placement, Pose, RobotConfig
 
 CONFIG = RobotConfig()
 SILENCE = np.full(16, np.nan)

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from mdb_sim.report import document
-from mdb_sim.report.aims import aims_table
 from mdb_sim.report.measured import NOT_YET
 from mdb_sim.report.paper import STATEMENTS, statements_table
 from mdb_sim.report.sections import SECTIONS
 from mdb_sim.studies import tables
 from mdb_sim.studies.catalogue import REPORTED, STUDIES
 from mdb_sim.studies.results import Result
+from mdb_sim.verdicts.aims import aims_table
 from tests.sim.phases import label, phase, results, run
 
 ROOT = Path(__file__).parents[2]

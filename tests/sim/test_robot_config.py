@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from mdb_sim.robot import RobotConfig
+from mdb_sim.body import RobotConfig
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,10 @@ from structlog.testing import capture_logs
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.elsewhere import BELIEVED_AFTER_S
-from mdb_sim.robot import Placement, Pose, RobotConfig, RobotError, Step, make_robot
-from mdb_sim.robot_service import SHOWN_AGAIN_S, RobotService
-from mdb_sim.state_file import StateFile
+from mdb_services.shell.elsewhere import BELIEVED_AFTER_S
+from mdb_sim.body import Placement, Pose, RobotConfig, RobotError, Step, make_robot
+from mdb_sim.robot.service import SHOWN_AGAIN_S, RobotService
+from mdb_sim.robot.state_file import StateFile
 
 BRAIN, SEED = "test", 7
 START = Placement(Pose(0.0, 0.0, 0.0), 1.0, 0.0)

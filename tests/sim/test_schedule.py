@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mdb_sim.robot import RobotConfig
-from mdb_sim.schedule import Schedule, TeacherSection, schedule_of
-from mdb_sim.teacher import TeacherError
+from mdb_sim.body import RobotConfig
+from mdb_sim.teaching.schedule import Schedule, TeacherSection, schedule_of
+from mdb_sim.teaching.teacher import TeacherError
 
 TWO = [
     {"start": 0, "name": "first", "teacher": "one", "language": "random"},

@@ -8,12 +8,15 @@ from typing import Any
 
 import pytest
 
-from mdb_services.mechanism import choice, context
-from mdb_services.mechanism.context import ContextConfig
-from mdb_services.mechanism.ltm import LongTermConfig
+from mdb_services.mechanism import choice
+from mdb_services.mechanism.memories import context
+from mdb_services.mechanism.memories.context import ContextConfig
+from mdb_services.mechanism.memories.ltm import LongTermConfig
 from mdb_services.mechanism.settings import EvolutionConfig
-from mdb_sim import arena, measures, perceive, sonar, teacher
-from mdb_sim.robot import RobotConfig
+from mdb_sim.bodies.pioneer import arena, perceive, sonar
+from mdb_sim.body import RobotConfig
+from mdb_sim.runs import measures
+from mdb_sim.teaching import teacher
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "sim" / "README.md").read_text(encoding="utf-8")
@@ -72,7 +75,7 @@ def test_the_page_says_the_body_and_the_solver_as_they_are() -> None:
     assert f"height of {sonar.SONAR_HEIGHT_M} m" in PAGE
     assert f"`NOMINAL_RADIUS_M`, `_UNEXPECTED_ECHO`, `_UNCERTAINTY_M` | {perceive.SAME_OBJECT_M}" in PAGE
     pytest.importorskip("pybullet")
-    from mdb_sim import pioneer
+    from mdb_sim.bodies.pioneer import physics as pioneer
 
     assert f"goes {pioneer.SOLVER_ITERATIONS} times over all constraints" in PAGE
     assert f"with {pioneer.BRAKING_M_S2} m/s²" in PAGE
@@ -104,7 +107,7 @@ def differences(row: list[str], found: dict[str, Any]) -> list[str]:
 
 
 def test_the_constants_of_the_page_are_those_of_the_code() -> None:
-    pioneer = pytest.importorskip("mdb_sim.pioneer")
+    pioneer = pytest.importorskip("mdb_sim.bodies.pioneer.physics")
     owners = {
         "settings.py": (EvolutionConfig(),),
         "context.py": (ContextConfig(), context),
@@ -113,7 +116,7 @@ def test_the_constants_of_the_page_are_those_of_the_code() -> None:
         "perceive.py": (perceive,),
         "teacher.py": (teacher,),
         "measures.py": (measures,),
-        "pioneer.py": (pioneer, RobotConfig()),
+        "physics.py": (pioneer, RobotConfig()),
         "RobotConfig": (RobotConfig(),),
     }
     compared = 0

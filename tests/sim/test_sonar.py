@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from mdb_sim.kinematic import KinematicRobot
-from mdb_sim.robot import Placement, Pose, RobotConfig
-from mdb_sim.sonar import BODY_CENTRE_X_M, TRANSDUCERS, SonarRing
+from mdb_sim.bodies.pioneer.sonar import BODY_CENTRE_X_M, TRANSDUCERS, SonarRing
+from mdb_sim.bodies.pioneer.twin import KinematicRobot
+from mdb_sim.body import Placement, Pose, RobotConfig
 
 AT_ORIGIN = Pose(0.0, 0.0, 0.0)
 FAR_OFF = (4.5, 4.5)

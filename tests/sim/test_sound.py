@@ -11,10 +11,10 @@ from mdb_protocol.codec import to_plain
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.recorder import read_log
-from mdb_sim import sound
-from mdb_sim.experiment import Experiment
-from mdb_sim.inline import run_experiment
-from mdb_sim.sound import INSTRUMENTS, NOISES, InstrumentName, NoiseName, Player, SoundSection
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.inline import run_experiment
+from mdb_sim.teaching import sound
+from mdb_sim.teaching.sound import INSTRUMENTS, NOISES, InstrumentName, NoiseName, Player, SoundSection
 
 PAPER = Path(__file__).parents[2] / "deploy" / "experiments" / "paper.toml"
 RATE_HZ = 16_000

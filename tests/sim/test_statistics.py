@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mdb_sim.report.drawings import draw_quantities
-from mdb_sim.report.quantities import Quantity, all_quantities, quantity_table, runs_of, summary
-from mdb_sim.report.statistics import differences, estimate, number, wilson
+from mdb_sim.figures.drawings import draw_quantities
 from mdb_sim.studies.results import Result
+from mdb_sim.verdicts.quantities import Quantity, all_quantities, quantity_table, runs_of, summary
+from mdb_sim.verdicts.statistics import differences, estimate, number, wilson
 from tests.sim.phases import label, run
 
 INF, NAN = math.inf, math.nan

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mdb_sim.robot import Placement, Pose, RobotConfig
-from mdb_sim.teacher import (
+from mdb_sim.body import Placement, Pose, RobotConfig
+from mdb_sim.teaching.teacher import (
     Language,
     TeacherError,
     binary_feedback,

@@ -7,9 +7,9 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_sim.robot import RobotConfig
-from mdb_sim.schedule import TeacherSection, schedule_of
-from mdb_sim.teacher_service import ScriptedTeacher
+from mdb_sim.body import RobotConfig
+from mdb_sim.teaching.schedule import TeacherSection, schedule_of
+from mdb_sim.teaching.service import ScriptedTeacher
 
 BRAIN = "test"
 PHASES = [

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from mdb_sim.kinematic import KinematicRobot
-from mdb_sim.robot import Placement, Pose, RobotConfig, RobotError, make_robot
-from mdb_sim.twins import captures_per_100, compare_bodies, ideal_policy, random_policy
+from mdb_sim.bodies.pioneer.twin import KinematicRobot
+from mdb_sim.body import Placement, Pose, RobotConfig, RobotError, make_robot
+from mdb_sim.studies.twins import captures_per_100, compare_bodies, ideal_policy, random_policy
 
 
 @pytest.fixture(scope="module")

@@ -11,18 +11,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from mdb_deploy.cli import experiment_path
+from mdb_deploy.experiments import experiment_path
 from mdb_deploy.studies import sweep
 from mdb_deploy.studies.sweep import Outcome, Sweep
 from mdb_protocol.errors import ConfigError, MdbError
-from mdb_sim.experiment import Experiment
-from mdb_sim.figures import need_matplotlib
+from mdb_sim.figures.four_to_six import need_matplotlib
 from mdb_sim.report import document
-from mdb_sim.report.acceptance import acceptance_table, failures, judge
+from mdb_sim.runs.experiment import Experiment
 from mdb_sim.studies import results, tables
 from mdb_sim.studies.catalogue import ACCEPTANCE, REPORTED, Study
 from mdb_sim.studies.results import Result
 from mdb_sim.studies.running import Task
+from mdb_sim.verdicts.acceptance import acceptance_table, failures, judge
 
 MISSED = 1
 FAILED = 3

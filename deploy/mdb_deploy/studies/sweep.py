@@ -19,9 +19,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mdb_deploy.studies import processes
+from mdb_deploy.studies import workers as processes
 from mdb_protocol.errors import ConfigError, MdbError
-from mdb_sim.experiment import Experiment
+from mdb_sim.runs.experiment import Experiment
 from mdb_sim.studies import results, running, tables
 from mdb_sim.studies.catalogue import PHASE, Study
 from mdb_sim.studies.results import Label, Result

@@ -13,18 +13,18 @@ from typing import Any
 
 import structlog
 
-from mdb_deploy.microphone import Microphone
-from mdb_deploy.teach.app import TeachApp
 from mdb_deploy.teach.keyboard import NOTE_KEYS
+from mdb_deploy.teach.microphone import Microphone
+from mdb_deploy.teach.screen.app import TeachApp
 from mdb_deploy.teach.session import TeachingSession
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import ConfigError, MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.config import EarSection, convert, read_file
-from mdb_sim.robot import RobotConfig
-from mdb_sim.sound import Player, SoundSection
-from mdb_sim.teacher import Language, TeacherError, make_language
-from mdb_sim.teacher_service import ROLE
+from mdb_services.experiment.brain import EarSection, convert, read_file
+from mdb_sim.body import RobotConfig
+from mdb_sim.teaching.service import ROLE
+from mdb_sim.teaching.sound import Player, SoundSection
+from mdb_sim.teaching.teacher import Language, TeacherError, make_language
 
 BRAIN, NAME = "pioneer", "teacher"
 ENDED_BY_SIGNAL = 130

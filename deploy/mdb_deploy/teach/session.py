@@ -23,11 +23,11 @@ from mdb_deploy.teach.view import View
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError
+from mdb_sim.body import RobotConfig
 from mdb_sim.placements import placement_of
-from mdb_sim.robot import RobotConfig
-from mdb_sim.sound import Player
-from mdb_sim.teacher import Language, graded_feedback, wanted_action
-from mdb_sim.teacher_service import ROLE
+from mdb_sim.teaching.service import ROLE
+from mdb_sim.teaching.sound import Player
+from mdb_sim.teaching.teacher import Language, graded_feedback, wanted_action
 
 BRAIN_ROLE, EAR_ROLE = "optimizer", "ear"
 """Whose liveliness token means that a brain is at work, and that somebody listens to sound."""

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from mdb_protocol import messages
-from mdb_sim.teacher import Language
+from mdb_sim.teaching.teacher import Language
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.encoding import Codebook, Facts, with_changes
-from mdb_services.mechanism.network import Floats, Network
+from mdb_services.mechanism.networks.encoding import Codebook, Facts, with_changes
+from mdb_services.mechanism.networks.network import Floats, Network
 
 RANDOM = "random"
 """The mode when no model pair applies, or while exploration is forced."""

@@ -11,12 +11,12 @@ from pathlib import Path
 from statistics import median
 
 from mdb_sim.report.paper import statements_table
-from mdb_sim.report.quantities import all_runs_of, runs_of
 from mdb_sim.report.sections import SECTIONS, Section
 from mdb_sim.report.short import in_short
-from mdb_sim.report.statistics import seeds_text
 from mdb_sim.studies.catalogue import REPORTED, Study
 from mdb_sim.studies.results import Result
+from mdb_sim.verdicts.quantities import all_runs_of, runs_of
+from mdb_sim.verdicts.statistics import seeds_text
 
 GALLERY = "gallery"
 UNPAIRED = ("reproduction",)

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from mdb_sim.report.comings import comings_of
-from mdb_sim.report.quantities import OBEDIENCE, TO_OBEDIENCE, Measure, Runs, all_runs_of, capture_rate, runs_of
-from mdb_sim.report.statistics import Shape, Statistic, estimate, interval, number, percent, text
 from mdb_sim.studies import tables
 from mdb_sim.studies.results import Result
 from mdb_sim.studies.rows import PhaseRow
+from mdb_sim.verdicts.comings import comings_of
+from mdb_sim.verdicts.quantities import OBEDIENCE, TO_OBEDIENCE, Measure, Runs, all_runs_of, capture_rate, runs_of
+from mdb_sim.verdicts.statistics import Shape, Statistic, estimate, interval, number, percent, text
 
 Found = Mapping[str, Sequence[Result]]
 """Results by study."""

@@ -24,8 +24,8 @@ from mdb_sim.report.measured import (
     slopes,
     two_phases,
 )
-from mdb_sim.report.quantities import OBEDIENCE, SHARE, TO_ERROR
-from mdb_sim.report.statistics import markdown
+from mdb_sim.verdicts.quantities import OBEDIENCE, SHARE, TO_ERROR
+from mdb_sim.verdicts.statistics import markdown
 
 Verdict = Literal["faithful", "adapted", "missing"]
 MECHANISM, SIM = "services/mdb_services/mechanism", "sim/mdb_sim"
@@ -84,7 +84,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.1",
         "Action: a set of commands applied to the actuators.",
         "faithful",
-        f"An index; what the motors do for it is the body's (`{SIM}/robot.py`).",
+        f"An index; what the motors do for it is the body's (`{SIM}/body.py`).",
     ),
     Statement(
         "2.1",
@@ -103,7 +103,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.2",
         "Cycle: act, sense, store the pair, learn the models, take the best, optimise the action.",
         "faithful",
-        "`services/mdb_services/optimizer.py`. Processes of their own and their acknowledgements are ours.",
+        "`services/mdb_services/acting/optimizer.py`. Processes of their own and their acknowledgements are ours.",
     ),
     Statement(
         "2.2",
@@ -198,7 +198,8 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "The agent is a Pioneer 2 with a ring of sonars, all computation in a laptop on top of it.",
         "adapted",
-        f"Simulated, in PyBullet and by a kinematic twin: `{SIM}/pioneer.py`, `kinematic.py`, `sonar.py`",
+        f"Simulated, in PyBullet and by a kinematic twin; in `{SIM}/bodies/pioneer`: `physics.py`, `twin.py`, "
+        "`sonar.py`",
     ),
     Statement(
         "3",
@@ -222,8 +223,8 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "The commands are musical notes, heard by a microphone.",
         "adapted",
-        "`services/mdb_services/ear.py`, section “Sound” of `README.md`. In the runs of this report the notes are "
-        "named, not sounded.",
+        "`services/mdb_services/hearing/ear.py`, section “Sound” of `README.md`. In the runs of this report the "
+        "notes are named, not sounded.",
     ),
     Statement(
         "3",

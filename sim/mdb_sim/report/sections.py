@@ -12,11 +12,14 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-from mdb_sim.report import curves, drawings
-from mdb_sim.report.acceptance import criteria_table, error_without_obedience, failures, seeds_table
-from mdb_sim.report.aims import aims_table
-from mdb_sim.report.comings import comings_of, comings_table
-from mdb_sim.report.quantities import (
+from mdb_sim.figures import curves, drawings
+from mdb_sim.studies import tables
+from mdb_sim.studies.catalogue import Study
+from mdb_sim.studies.rows import PhaseRow
+from mdb_sim.verdicts.acceptance import criteria_table, error_without_obedience, failures, seeds_table
+from mdb_sim.verdicts.aims import aims_table
+from mdb_sim.verdicts.comings import comings_of, comings_table
+from mdb_sim.verdicts.quantities import (
     SHARE,
     Runs,
     all_quantities,
@@ -29,10 +32,7 @@ from mdb_sim.report.quantities import (
     quantity_table,
     summary,
 )
-from mdb_sim.report.statistics import estimate, interval, markdown, number, percent, seeds_text, text, wilson
-from mdb_sim.studies import tables
-from mdb_sim.studies.catalogue import Study
-from mdb_sim.studies.rows import PhaseRow
+from mdb_sim.verdicts.statistics import estimate, interval, markdown, number, percent, seeds_text, text, wilson
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from mdb_sim.report.acceptance import failures, judge
-from mdb_sim.report.comings import comings_of, own_firsts
-from mdb_sim.report.quantities import OBEDIENCE, SHARE, Runs, phases_of, pooled, quantity, runs_of
-from mdb_sim.report.statistics import Estimate, estimate, interval, number, percent, seeds_text, text, wilson
 from mdb_sim.studies import tables
 from mdb_sim.studies.results import Result
+from mdb_sim.verdicts.acceptance import failures, judge
+from mdb_sim.verdicts.comings import comings_of, own_firsts
+from mdb_sim.verdicts.quantities import OBEDIENCE, SHARE, Runs, phases_of, pooled, quantity, runs_of
+from mdb_sim.verdicts.statistics import Estimate, estimate, interval, number, percent, seeds_text, text, wilson
 
 WELL_OBEYED, WELL_ALONE = 0.8, 0.9
 """Obedience to the last teacher, and share of the ideal alone, below which teachers or learners are named."""

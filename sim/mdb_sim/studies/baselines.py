@@ -14,17 +14,17 @@ from typing import Protocol, TypeVar
 from mdb_protocol import keys, messages
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.config import EXPERIMENT_FILE
-from mdb_services.mechanism import streams
+from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.mechanism.networks import streams
 from mdb_services.recorder import Recorded
-from mdb_sim.experiment import Experiment
+from mdb_sim.body import Placement, Reading, Robot, Step
 from mdb_sim.placements import message_of
-from mdb_sim.record import RunRecord, record_of
-from mdb_sim.robot import Placement, Reading, Robot, Step
-from mdb_sim.schedule import Schedule, schedule_of
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.record import RunRecord, record_of
 from mdb_sim.studies.gaussian import GaussianPlayer
-from mdb_sim.teacher_service import ScriptedTeacher
-from mdb_sim.twins import ideal_policy
+from mdb_sim.studies.twins import ideal_policy
+from mdb_sim.teaching.schedule import Schedule, schedule_of
+from mdb_sim.teaching.service import ScriptedTeacher
 
 M = TypeVar("M")
 

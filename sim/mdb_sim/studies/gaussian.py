@@ -16,12 +16,12 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism import streams
-from mdb_sim.experiment import Experiment
-from mdb_sim.perceive import unfold
-from mdb_sim.robot import Placement, Reading
-from mdb_sim.schedule import Schedule
-from mdb_sim.teacher import turn_ranks
+from mdb_services.mechanism.networks import streams
+from mdb_sim.bodies.pioneer.perceive import unfold
+from mdb_sim.body import Placement, Reading
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.teaching.schedule import Schedule
+from mdb_sim.teaching.teacher import turn_ranks
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 
-from mdb_sim.kinematic import KinematicRobot
-from mdb_sim.measures import Window
+from mdb_sim.bodies.pioneer.twin import KinematicRobot
 from mdb_sim.placements import placement_of
-from mdb_sim.record import RunRecord
-from mdb_sim.twins import ideal_policy
+from mdb_sim.runs.measures import Window
+from mdb_sim.runs.record import RunRecord
+from mdb_sim.studies.twins import ideal_policy
 
 KNOWN_BODIES = ("kinematic", "pybullet")
 """Bodies whose ideal we can have. PyBullet's is that of its kinematic twin, which is cheap and moves alike."""

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_sim import measures
-from mdb_sim.record import Episode, Floats, RunRecord, Span
+from mdb_sim.runs import measures
+from mdb_sim.runs.record import Episode, Floats, RunRecord, Span
+from mdb_sim.runs.trajectories import typical
 from mdb_sim.studies.ideal import ideal_captures
-from mdb_sim.trajectories import typical
 
 Curve = NDArray[np.float32]
 Marks = NDArray[np.int8]

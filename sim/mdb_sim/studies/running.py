@@ -24,9 +24,9 @@ from typing import Any
 import structlog
 
 from mdb_protocol.errors import MdbError
-from mdb_sim.experiment import Experiment
-from mdb_sim.inline import run_experiment
-from mdb_sim.record import RunRecord, read_record
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.inline import run_experiment
+from mdb_sim.runs.record import RunRecord, read_record
 from mdb_sim.studies import baselines
 from mdb_sim.studies.results import Label, encode
 from mdb_sim.studies.rows import rows_of
@@ -35,7 +35,7 @@ BRAIN = "brain"
 """The player that is the brain itself; all others are in `baselines.PLAYERS`."""
 PACKAGES = ("mdb_protocol", "mdb_services", "mdb_sim")
 """What a run's result depends upon, ..."""
-PRESENTING = ("report/", "figures.py", "studies/tables.py")
+PRESENTING = ("verdicts/", "figures/", "report/", "studies/tables.py")
 """... but for what only shows results, and for the variants, whose experiments are in the fingerprint anyway."""
 
 

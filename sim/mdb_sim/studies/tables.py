@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import msgspec
 
-from mdb_services.config import BrainConfig
+from mdb_services.experiment.brain import BrainConfig
+from mdb_services.mechanism.memories.stm import MemoryConfig
 from mdb_services.mechanism.settings import EvolutionConfig
-from mdb_services.mechanism.stm import MemoryConfig
-from mdb_sim.experiment import Experiment
+from mdb_sim.runs.experiment import Experiment
 from mdb_sim.studies.catalogue import ACCEPTANCE, PHASE, Study
 
 AS_SHIPPED = "as shipped"

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.config import brain_config, read_file
-from mdb_services.mechanism.kernel import in_blocks, population_errors
+from mdb_services.experiment.brain import brain_config, read_file
+from mdb_services.mechanism.evolution.kernel import in_blocks, population_errors
 from mdb_services.mechanism.learners.pbga import PromoterGA
-from mdb_services.mechanism.network import Shape
+from mdb_services.mechanism.networks.network import Shape
 from mdb_services.mechanism.settings import EvolutionConfig
 from tests.benchmarks.peers.contestant import Contestant
 from tests.benchmarks.peers.problem import Floats, Problem

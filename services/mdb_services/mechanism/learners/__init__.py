@@ -10,7 +10,7 @@ from mdb_services.mechanism.learners.de import DifferentialEvolution
 from mdb_services.mechanism.learners.ga import PlainGA
 from mdb_services.mechanism.learners.pbga import PromoterGA
 from mdb_services.mechanism.learners.ridge import Ridge
-from mdb_services.mechanism.network import Shape
+from mdb_services.mechanism.networks.network import Shape
 from mdb_services.mechanism.settings import LearnerConfig
 
 __all__ = ["LEARNERS", "Best", "Learner", "make_learner"]

@@ -10,11 +10,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism import streams
+from mdb_services.mechanism.evolution.genomes import signals_of
 from mdb_services.mechanism.learners.contract import Arrays
-from mdb_services.mechanism.learners.genomes import signals_of
 from mdb_services.mechanism.learners.single import SingleNetwork
-from mdb_services.mechanism.network import Floats, Shape, split_layers
+from mdb_services.mechanism.networks import streams
+from mdb_services.mechanism.networks.network import Floats, Shape, split_layers
 from mdb_services.mechanism.settings import AdamConfig
 
 MEAN_RATE, SQUARE_RATE, TINY = np.float32(0.9), np.float32(0.999), np.float32(1e-8)

@@ -14,11 +14,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism import streams
+from mdb_services.mechanism.evolution.genomes import Measure
 from mdb_services.mechanism.learners.contract import Arrays
-from mdb_services.mechanism.learners.genomes import Measure
 from mdb_services.mechanism.learners.single import SingleNetwork
-from mdb_services.mechanism.network import Floats, Shape
+from mdb_services.mechanism.networks import streams
+from mdb_services.mechanism.networks.network import Floats, Shape
 from mdb_services.mechanism.settings import CmaConfig
 
 MOVING = ("mean", "sigma", "C", "p_sigma", "pc", "g")

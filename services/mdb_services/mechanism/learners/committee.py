@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism import streams
 from mdb_services.mechanism.learners.contract import Arrays, Learner, error_of
-from mdb_services.mechanism.network import Floats, Network, Shape
+from mdb_services.mechanism.networks import streams
+from mdb_services.mechanism.networks.network import Floats, Network, Shape
 
 ON = 20.0
 """The hyperbolic tangent of this is 1 in single precision."""

@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism import streams
-from mdb_services.mechanism.network import Floats, Network, Shape
+from mdb_services.mechanism.networks import streams
+from mdb_services.mechanism.networks.network import Floats, Network, Shape
 
 Arrays = dict[str, NDArray[Any]]
 

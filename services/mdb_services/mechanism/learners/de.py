@@ -13,10 +13,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism import streams
+from mdb_services.mechanism.evolution.genomes import Measure, embed, network_of
 from mdb_services.mechanism.learners.contract import Learner
-from mdb_services.mechanism.learners.genomes import Measure, embed, network_of
-from mdb_services.mechanism.network import Floats, Network, Shape
+from mdb_services.mechanism.networks import streams
+from mdb_services.mechanism.networks.network import Floats, Network, Shape
 from mdb_services.mechanism.settings import DifferentialConfig
 
 CHANGE = 0.1

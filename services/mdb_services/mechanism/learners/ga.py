@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mdb_services.mechanism.learners.contract import Arrays
 from mdb_services.mechanism.learners.pbga import PromoterGA
-from mdb_services.mechanism.network import Network, Shape
+from mdb_services.mechanism.networks.network import Network, Shape
 from mdb_services.mechanism.settings import EvolutionConfig
 
 

@@ -10,12 +10,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism import streams
-from mdb_services.mechanism.kernel import in_blocks
+from mdb_services.mechanism.evolution.genomes import embed
+from mdb_services.mechanism.evolution.kernel import in_blocks
+from mdb_services.mechanism.evolution.operators import Settings, evolve
 from mdb_services.mechanism.learners.contract import Arrays, Learner
-from mdb_services.mechanism.learners.genomes import embed
-from mdb_services.mechanism.network import Floats, Network, Shape, split_layers
-from mdb_services.mechanism.operators import Settings, evolve
+from mdb_services.mechanism.networks import streams
+from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
 from mdb_services.mechanism.settings import EvolutionConfig
 
 

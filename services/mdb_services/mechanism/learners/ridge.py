@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mdb_services.mechanism.learners.genomes import signals_of
+from mdb_services.mechanism.evolution.genomes import signals_of
 from mdb_services.mechanism.learners.single import SingleNetwork
-from mdb_services.mechanism.network import Floats, Shape, split_layers
+from mdb_services.mechanism.networks.network import Floats, Shape, split_layers
 from mdb_services.mechanism.settings import RidgeConfig
 
 

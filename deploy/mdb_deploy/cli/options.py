@@ -1,0 +1,39 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TypeAlias
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+KEYS_HELP = "your bundle of 'mdb keys', or on the brain's machine the key folder; for a router at tls/ or quic/"
+OPEN_HELP = "listen beyond this machine without keys: everyone there may read all and command the robot"
+
+
+def keys_path(text: str) -> Path | None:
+    """Return the path that is named; None for an empty word."""
+    return Path(text).resolve() if text else None  # compose.yaml gives an empty word for none
+
+
+def add_keys(parser: argparse.ArgumentParser) -> None:
+    """Add `--keys`."""
+    parser.add_argument("--keys", type=keys_path, metavar="PATH", help=KEYS_HELP)
+
+
+def add_experiment(parser: argparse.ArgumentParser) -> None:
+    """Add the experiment file and what changes it."""
+    parser.add_argument(
+        "experiment", nargs="?", default="paper", help="experiment file, or the name of a shipped one (paper)"
+    )
+    parser.add_argument("--pace", choices=["concurrent", "lockstep"], help="override the file's pace")
+    parser.add_argument("--seed", type=int, help="override the file's seed")
+    parser.add_argument("--iterations", type=int, help="override the file's number of iterations")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="override any setting")
+
+
+def overrides_of(arguments: argparse.Namespace) -> list[str]:
+    """Return the options that stand for settings as overrides, the explicit ones last."""
+    named = {"pace": arguments.pace, "seed": arguments.seed, "iterations": arguments.iterations}
+    given = [f"experiment.{name}={value}" for name, value in named.items() if value is not None]
+    return given + list(arguments.set)

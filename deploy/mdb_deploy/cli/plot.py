@@ -1,0 +1,30 @@
+"""`mdb plot`: the figures of a run, from its log alone."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from mdb_deploy.cli.options import Commands
+
+
+def add(commands: Commands) -> None:
+    """Add `plot`."""
+    plot = commands.add_parser("plot", help="draw the figures of a run from its log alone")
+    plot.add_argument("run", type=Path, nargs="+", help="run folder; several: one figure with a confidence band")
+    plot.add_argument("--out", type=Path, help="where the figures go (the run folder)")
+    plot.set_defaults(command=_plot)
+
+
+def _plot(arguments: argparse.Namespace) -> int:
+    for path in draw(arguments.run, arguments.out):
+        sys.stdout.write(f"{path}\n")
+    return 0
+
+
+def draw(runs: list[Path], out: Path | None) -> list[Path]:
+    """Draw the figures of one run, or one figure with a band of several; return their paths."""
+    from mdb_sim.figures.four_to_six import draw, draw_band
+
+    return draw(runs[0], out) if len(runs) == 1 else draw_band(runs, out or Path())

@@ -1,0 +1,40 @@
+"""`mdb status` and `mdb health`: who is alive."""
+
+from __future__ import annotations
+
+import argparse
+
+from mdb_deploy.cli.options import Commands, add_keys
+from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
+
+
+def add(commands: Commands) -> None:
+    """Add `status` and `health`."""
+    status = commands.add_parser("status", help="who is alive, and how each process does")
+    health = commands.add_parser("health", help="exit status 0 when ROLE/INSTANCE (or the router) is ready")
+    health.add_argument("name", help="router, or ROLE/INSTANCE as in 'mdb status'")
+    for parser in (status, health):
+        parser.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
+        parser.add_argument("--brain", default="pioneer", help="the brain's name")
+        add_keys(parser)
+    status.add_argument("--json", action="store_true", help="one line of JSON, for scripts")
+    status.add_argument(
+        "--watch", type=float, nargs="?", const=1.0, metavar="SECONDS", help="again and again (every second)"
+    )
+    status.set_defaults(command=_status)
+    health.set_defaults(command=_health)
+
+
+def _status(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.running.status import show_status
+
+    return show_status(
+        arguments.brain, arguments.connect, arguments.keys, as_json=arguments.json, every_s=arguments.watch
+    )
+
+
+def _health(arguments: argparse.Namespace) -> int:
+    from mdb_protocol.zenoh_bus import ZenohBus
+
+    with ZenohBus(arguments.brain, arguments.connect, credentials=arguments.keys, connect_timeout_s=1.0) as bus:
+        return 0 if arguments.name == "router" or arguments.name in bus.alive() else 1

@@ -1,0 +1,87 @@
+"""`mdb up`: an experiment, to its figures."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, keys_path, overrides_of
+from mdb_deploy.cli.plot import draw
+from mdb_deploy.experiments import experiment_path
+from mdb_protocol.errors import MdbError
+from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
+
+
+def add(commands: Commands) -> None:
+    """Add `up`."""
+    up = commands.add_parser("up", help="run an experiment to its figures", allow_abbrev=False)
+    add_experiment(up)
+    up.add_argument("--inline", action="store_true", help="everything in this process, in lockstep")
+    up.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder is made (runs)")
+    up.add_argument("--listen", default=DEFAULT_ENDPOINT, help="the router's endpoint; port 0: any free one")
+    up.add_argument("--keys", type=keys_path, metavar="DIR", help="key folder, for --listen tls/0.0.0.0:7447")
+    up.add_argument("--open-to-everyone", action="store_true", help=OPEN_HELP)
+    up.add_argument("--gui", action="store_true", help="show the PyBullet window")
+    up.add_argument(
+        "--long-term", type=Path, metavar="SOURCE", help="begin with the models of a run or of an 'mdb ltm export'"
+    )
+    up.add_argument("--no-plot", action="store_true", help="no figures at the end")
+    up.add_argument(
+        "--resume", type=Path, metavar="RUN", help="go on with the run in this folder, its experiment included"
+    )
+    up.add_argument(
+        "--no-teacher", action="store_true", help="no scripted teacher: begin when you have come, 'mdb teach'"
+    )
+    up.set_defaults(command=_up)
+
+
+def _up(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from mdb_deploy.running.processes import ENDPOINT_FILE
+    from mdb_deploy.running.progress import Progress
+    from mdb_deploy.running.up import UpOptions, check_listen, new_run_folder, up_inline, up_processes
+    from mdb_services.experiment.brain import EXPERIMENT_FILE, read_file
+    from mdb_sim.runs.experiment import Experiment
+
+    overrides = overrides_of(arguments)
+    if arguments.inline:
+        overrides.append("experiment.pace=lockstep")
+    path = experiment_path(arguments.experiment) if arguments.resume is None else arguments.resume / EXPERIMENT_FILE
+    content = read_file(path, overrides)
+    if arguments.no_teacher:
+        content.pop("teacher", None)
+    experiment = Experiment(content, path)
+    section = experiment.brain.experiment
+    if not arguments.inline:
+        check_listen(arguments.listen, arguments.keys, section.brain, open_to_everyone=arguments.open_to_everyone)
+    if arguments.resume is not None and (arguments.inline or arguments.long_term):
+        raise MdbError("--resume goes on with a run of processes as it was: leave --inline and --long-term out")
+    run = arguments.resume or new_run_folder(arguments.runs.resolve(), section.name, section.seed)
+    run = run.resolve()
+    if arguments.long_term is not None:
+        from mdb_deploy.runs import ltm
+
+        experiment.write(run / EXPERIMENT_FILE)
+        ltm.bring(arguments.long_term, (), run)
+    options = UpOptions(
+        run,
+        arguments.listen,
+        arguments.gui,
+        arguments.keys,
+        arguments.open_to_everyone,
+        await_teacher=arguments.no_teacher,
+    )
+    console = Console(stderr=False)
+    console.print(f"{section.name}: {section.iterations} iterations, {section.pace}, seed {section.seed}")
+    if arguments.no_teacher and not arguments.inline:
+        listen = f"$(cat {run / ENDPOINT_FILE})" if arguments.listen.endswith(":0") else arguments.listen
+        bundle = " --keys YOUR_BUNDLE" if arguments.keys else ""
+        console.print(f"begins when somebody teaches: mdb teach --connect {listen}{bundle}", soft_wrap=True)
+    run_it = up_inline if arguments.inline else up_processes
+    status = run_it(experiment, options, Progress(console, section.iterations))
+    if not arguments.no_plot:
+        console.print("drawing the figures")
+        draw([run], None)
+    console.print(f"results: {run}", soft_wrap=True)
+    return status

@@ -1,0 +1,196 @@
+"""One process of a brain: builds the service that `mdb run SERVICE` names and runs it until told to stop.
+
+Imports what a service needs only when it is run: an optimizer has no compiler in memory, a teacher no physics.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import structlog
+
+from mdb_deploy.keys.access import ACCESS_FILE
+from mdb_protocol import endpoints
+from mdb_protocol.bus import Bus
+from mdb_protocol.errors import BusError, ConfigError, DamageError
+from mdb_protocol.zenoh_bus import Router, RouterKeys, ZenohBus
+from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.shell.service import Service, Stopper, run
+from mdb_sim.runs.experiment import Experiment
+
+log = structlog.get_logger()
+
+ROUTER_CONFIG = Path(__file__).parents[2] / "router.json5"
+ENDPOINT_FILE = "router.endpoint"
+EVOLVER_NICE = 5
+"""Learning gives way to acting when both want the same core."""
+CONNECT_S = 10.0
+PORT_FREE_S = 5.0
+
+
+@dataclass(frozen=True)
+class RouterOptions:
+    """What the command line says of the router: run folder, endpoint, key folder, whether it is open to everyone."""
+
+    run: Path | None
+    listen: str | None
+    keys: Path | None = None
+    open_to_everyone: bool = False
+
+
+def run_router(options: RouterOptions, stop: Stopper) -> None:
+    """Route until told to stop; writes where this machine's clients connect into the run folder.
+
+    When the access control has changed it begins anew on the same port: Zenoh reads it only at the start. Clients
+    come back by themselves, within half a second; who is no longer admitted stays out.
+    """
+    listen, changed = options.listen, _changes(options.keys)
+    bound_s = 0.0
+    while not stop():
+        router = _router(options, listen, bound_s)
+        endpoint = router.endpoint()
+        listen, bound_s = endpoints.with_port_of(router.listen, endpoint), PORT_FREE_S
+        _say_where(options.run, endpoint)
+        log.info("routing", endpoint=endpoint, listen=listen)
+        while not stop() and not changed():
+            time.sleep(0.05)
+        router.close()
+
+
+def _router(options: RouterOptions, listen: str | None, bound_s: float) -> Router:
+    """Start a router, trying again within the bound: its predecessor's port is free a moment after it has closed."""
+    deadline = time.monotonic() + bound_s
+    while True:
+        try:
+            return Router(
+                ROUTER_CONFIG, listen, keys=_keys(options, listen), open_to_everyone=options.open_to_everyone
+            )
+        except BusError:
+            if time.monotonic() >= deadline:
+                raise
+            time.sleep(0.05)
+
+
+def _keys(options: RouterOptions, listen: str | None) -> RouterKeys | None:
+    if options.keys is None:
+        return None
+    if listen is None:
+        raise ConfigError("a router with --keys needs --listen tls/HOST:PORT, as in tls/0.0.0.0:7447")
+    from mdb_deploy.keys.credentials import KeyFolder
+
+    return KeyFolder(options.keys).router_keys(listen)
+
+
+def _changes(folder: Path | None) -> Callable[[], bool]:
+    """Return a function that says whether a key folder's access control has changed since the last call."""
+    if folder is None:
+        return lambda: False
+    path = folder / ACCESS_FILE
+    seen = path.stat().st_mtime_ns if path.exists() else 0
+
+    def changed() -> bool:
+        nonlocal seen
+        before, seen = seen, path.stat().st_mtime_ns if path.exists() else seen
+        return seen != before
+
+    return changed
+
+
+def _say_where(run_folder: Path | None, endpoint: str) -> None:
+    if run_folder is not None:
+        run_folder.mkdir(parents=True, exist_ok=True)
+        partial = run_folder / f"{ENDPOINT_FILE}.part"
+        partial.write_text(endpoint, encoding="utf-8")
+        partial.replace(run_folder / ENDPOINT_FILE)
+
+
+@dataclass(frozen=True)
+class ServiceOptions:
+    """What the command line says of a service: run folder, router, an evolver's model, a robot's window, keys."""
+
+    run: Path
+    connect: str
+    model: str | None = None
+    gui: bool = False
+    keys: Path | None = None
+
+
+def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
+    """Build and run one service of the experiment in the run folder."""
+    run_folder = options.run
+    experiment = Experiment.read(run_folder / EXPERIMENT_FILE)
+    builders: dict[str, Callable[[Bus], Service]] = {
+        "recorder": lambda bus: _recorder(bus, run_folder),
+        "memory": lambda bus: _memory(bus, experiment, run_folder),
+        "evolver": lambda bus: _evolver(bus, experiment, options.model),
+        "optimizer": lambda bus: _optimizer(bus, experiment),
+        "robot": lambda bus: experiment.robot_service(bus, run_folder, gui=options.gui),
+        "teacher": experiment.teacher_service,
+        "ear": lambda bus: _ear(bus, experiment),
+    }
+    if name not in builders:
+        raise ConfigError(f"no service {name!r}; there are router, {', '.join(builders)}")
+    try:
+        bus = ZenohBus(
+            experiment.brain.experiment.brain,
+            options.connect,
+            credentials=options.keys,
+            connect_timeout_s=CONNECT_S,
+            give_up=stop,
+            lossless=experiment.brain.lockstep,
+        )
+    except BusError:
+        if stop():
+            return
+        raise
+    try:
+        service = builders[name](bus)
+    except BaseException:
+        bus.close()
+        raise
+    run(service, stop)
+
+
+def _recorder(bus: Bus, run_folder: Path) -> Service:
+    from mdb_services.recorder import Recorder
+
+    return Recorder(bus, run_folder)
+
+
+def _memory(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:
+    from mdb_services.memory.file import MemoryFile
+    from mdb_services.memory.rescue import survey
+    from mdb_services.memory.store import MemoryStore
+
+    brain, path = experiment.brain, run_folder / MEMORY_FILE
+    try:
+        return MemoryStore(bus, brain, MemoryFile(path, power_safe=brain.store.durability == "power"))
+    except DamageError as error:
+        raise DamageError(f"{error}. What can be read: {survey(path, brain).words()}") from error
+
+
+def _evolver(bus: Bus, experiment: Experiment, model: str | None) -> Service:
+    from mdb_services.evolver import Evolver
+
+    if model is None:
+        names = ", ".join(m.name for m in experiment.brain.model)
+        raise ConfigError(f"an evolver needs --model; this experiment has {names}")
+    evolver = Evolver(bus, experiment.brain, model)
+    os.nice(EVOLVER_NICE)  # from now on: one that comes back after its death is soon there
+    return evolver
+
+
+def _ear(bus: Bus, experiment: Experiment) -> Service:
+    from mdb_services.hearing.ear import Ear
+
+    return Ear(bus, experiment.brain)
+
+
+def _optimizer(bus: Bus, experiment: Experiment) -> Service:
+    from mdb_services.acting.optimizer import Optimizer
+
+    return Optimizer(bus, experiment.brain, expected=experiment.scripted_teachers)

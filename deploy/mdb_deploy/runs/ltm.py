@@ -1,0 +1,167 @@
+"""`mdb ltm`: the long-term memory of a run on paper and on its way to another run.
+
+A source is a run folder (its `memory.sqlite`) or a file that `export` wrote. Owns the file's form: a line with
+the encoding, then the payload of a `messages.LongTermFile`. Models are named MODEL, all of a name, or MODEL/ID.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import msgspec
+import structlog
+
+from mdb_protocol import codec
+from mdb_protocol.errors import ConfigError, DamageError, DecodeError, MdbError
+from mdb_protocol.messages import LongTermFile, LongTermModel
+from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.mechanism.networks.network import Network
+from mdb_services.memory.file import MemoryFile
+from mdb_services.memory.rescue import survey
+from mdb_sim.runs.experiment import Experiment
+
+log = structlog.get_logger()
+
+SHOWN_PAIRS = 10
+"""Pairs of a model's sample that `show` prints."""
+
+
+def read(source: Path, names: Sequence[str] = ()) -> list[LongTermModel]:
+    """Return the models of a source, those with the given names if any; MdbError when there are none."""
+    models = _read_run(source) if source.is_dir() else _read_file(source)
+    if not names:
+        return models
+    for name in names:
+        if not any(_is(model, name) for model in models):
+            there = ", ".join(f"{model.model}/{model.id}" for model in models) or "none"
+            raise MdbError(f"no model {name!r} in the long-term memory of {source}; there are {there}")
+    return [model for model in models if any(_is(model, name) for name in names)]
+
+
+def _is(model: LongTermModel, name: str) -> bool:
+    return name in (model.model, f"{model.model}/{model.id}")
+
+
+def _read_run(run: Path) -> list[LongTermModel]:
+    path = run / MEMORY_FILE
+    if not path.is_file():
+        raise MdbError(f"no {MEMORY_FILE} in {run}; give the folder that 'mdb up' named at its end")
+    try:
+        with MemoryFile(path) as file:
+            return _long_term(file)
+    except DamageError as error:
+        models = survey(path, Experiment.read(run / EXPERIMENT_FILE).brain).long_term
+        log.warning("the memory file is damaged; these are the models that can be read", reason=str(error))
+        return models
+
+
+def _long_term(file: MemoryFile) -> list[LongTermModel]:
+    try:
+        return file.long_term()
+    except (sqlite3.Error, DecodeError) as error:
+        raise file.unusable(error) from error
+
+
+def _read_file(path: Path) -> list[LongTermModel]:
+    try:
+        encoding, _, payload = path.read_bytes().partition(b"\n")
+        return codec.decode(LongTermFile, payload, encoding.decode("ascii", "replace")).models
+    except OSError as error:
+        raise MdbError(
+            f"cannot read {path}: {error.strerror}; give a run folder or a file of 'mdb ltm export'"
+        ) from error
+    except DecodeError as error:
+        raise MdbError(f"{path} is not a file of 'mdb ltm export': {error}") from error
+
+
+def export(source: Path, names: Sequence[str], out: Path) -> int:
+    """Write models of a source to a file; return how many."""
+    models = read(source, names)
+    if not models:
+        raise MdbError(f"the long-term memory of {source} is empty: nothing to export")
+    payload = codec.encode(LongTermFile(models=models))
+    out.write_bytes(codec.encoding_of(LongTermFile).encode() + b"\n" + payload)
+    return len(models)
+
+
+def bring(source: Path, names: Sequence[str], run: Path) -> int:
+    """Put models of a source into the long-term memory of a run that is not going on; return how many.
+
+    Of a run that has not begun yet the memory is kept as it is then, so that it can be replayed.
+    MdbError when the run's experiment has no such model, or one whose numbers mean something else.
+    """
+    models = read(source, names)
+    try:
+        experiment = Experiment.read(run / EXPERIMENT_FILE)
+    except ConfigError as error:
+        raise MdbError(f"{run} is not a run folder ('mdb prepare --run {run}' makes one): {error}") from error
+    for model in models:
+        _check_fits(model, experiment)
+    with MemoryFile(run / MEMORY_FILE) as file:
+        used = [(model.model, model.id) for model in file.long_term()]
+        brought = []
+        for model in models:
+            free = 1 + max((id for name, id in used if name == model.model), default=0)
+            used.append((model.model, free))
+            origin = f"{source.resolve()}: {model.model}/{model.id}"[-4096:]
+            brought.append(msgspec.structs.replace(model, id=free, origin=origin, touched=0))
+        file.keep_long_term(brought)
+        begun = file.count() > 0
+    if not begun:
+        shutil.copy(run / MEMORY_FILE, run / BEGINNING_FILE)
+    return len(models)
+
+
+def _check_fits(model: LongTermModel, experiment: Experiment) -> None:
+    section = experiment.brain.model_named(model.model)
+    own = experiment.brain.reads(section)
+    differ = [
+        f"{name} is {model.reads.get(name, 'absent')} there, {own.get(name, 'absent')} here"
+        for name in sorted(own.keys() | model.reads.keys())
+        if model.reads.get(name) != own.get(name)
+    ]
+    if differ or list(own) != list(model.reads):
+        what = "; ".join(differ) or f"it reads {', '.join(model.reads)} in this order"
+        raise MdbError(f"model {model.model}/{model.id} does not fit this experiment: {what}")
+    hidden, whole = model.layers[1:-1], experiment.brain.reported_hidden(section)
+    if hidden == whole:
+        return
+    if len(hidden) != len(section.hidden) or any(a > b for a, b in zip(hidden, section.hidden, strict=True)):
+        committee = f", or as its {section.members} members together {whole}" if section.members > 1 else ""
+        raise MdbError(
+            f"model {model.model}/{model.id} has {hidden} hidden units; this experiment has room for "
+            f"{list(section.hidden)}{committee}: --set model.{model.model}.hidden={hidden}, or what "
+            f"'hidden' and 'members' were in {model.experiment}"
+        )
+
+
+def listing(models: Iterable[LongTermModel]) -> str:
+    """Return a line for each model."""
+    rows = [("model", "error", "uses", "pairs", "network", "stored at", "experiment", "origin")]
+    for model in models:
+        rows.append((
+            f"{model.model}/{model.id}", f"{model.error:.4f}", f"{model.uses}", f"{len(model.pairs)}",
+            "-".join(map(str, model.layers)), f"{model.iteration}", f"{model.experiment} seed {model.seed}",
+            model.origin or "this run",
+        ))  # fmt: skip
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join("  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def show(model: LongTermModel) -> str:
+    """Return all that is known of a model: where it comes from, what it reads, a part of its sample."""
+    Network.from_arrays(model.layers, model.weights)
+    lines = [listing([model]), "", "reads"]
+    lines += [f"  {name}: {meaning}" for name, meaning in model.reads.items()]
+    lines += ["", f"pairs of its context ({min(len(model.pairs), SHOWN_PAIRS)} of {len(model.pairs)})"]
+    for pair in model.pairs[:SHOWN_PAIRS]:
+        before = ", ".join(f"{name} {value:.3g}" for name, value in pair.before.items())
+        after = ", ".join(f"{name} {value:.3g}" for name, value in pair.after.items())
+        lines.append(
+            f"  iteration {pair.iteration}: {before}; note {pair.note}; action {pair.action}; {after}; "
+            f"feedback {pair.feedback}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""What `mdb teach` shows."""

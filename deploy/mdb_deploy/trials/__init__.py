@@ -1,0 +1,1 @@
+"""A running brain on trial: kills, long runs, and what a witness saw."""

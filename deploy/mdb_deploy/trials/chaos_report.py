@@ -1,0 +1,169 @@
+"""What `mdb chaos` says in the end: recovery times by role, and whether anything that was acknowledged is lost.
+
+Owns the bounds and the words, `chaos.md` and `chaos.json`. Pure but for writing these two.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mdb_deploy.trials.witness import Findings
+from mdb_protocol import keys
+from mdb_services.recorder import read_log
+
+MEDIAN_S, P99_S = 1.5, 4.0
+"""What recovery must not exceed."""
+BY_A_LOT = 2.0
+"""Beyond the bounds times this the command fails: a loaded machine alone does not do it."""
+ENDS = (0, 130)
+"""Status of a brain that finished, or was interrupted by us."""
+
+
+@dataclass
+class Kill:
+    """One kill and what came of it; times in seconds, `at_s` since the first iteration, the others since the kill."""
+
+    role: str
+    at_s: float
+    iteration: int
+    together: bool = False
+    """Whether another was killed before this one had recovered."""
+    token_s: float | None = None
+    recovered_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """Recoveries of one role, in seconds; nan when there was none."""
+
+    role: str
+    kills: int
+    median_s: float
+    p99_s: float
+    worst_s: float
+    token_s: float
+    """Median until its liveliness token was back."""
+
+    @classmethod
+    def of(cls, role: str, kills: Sequence[Kill]) -> Row:
+        """Return the row of these kills; one during which the experiment ended has no recovery."""
+        took = [k.recovered_s for k in kills if k.recovered_s is not None] or [np.nan]
+        token = [k.token_s for k in kills if k.token_s is not None] or [np.nan]
+        median, p99, worst = np.percentile(took, [50, 99, 100])
+        return cls(role, len(kills), float(median), float(p99), float(worst), float(np.median(token)))
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that came of a run with kills."""
+
+    run: Path
+    kills: list[Kill]
+    rows: list[Row]
+    total: Row
+    findings: Findings
+    iterations: int
+    took_s: float
+    status: int
+    moved_alone: int
+    """Actions of the robot while it had no commander, beyond the one under way."""
+    logged: int
+    """Iterations whose report is in the run's log, which can be read in spite of the kills."""
+    loads: tuple[float, float]
+    """Load average of the machine (1 min) before and after."""
+    cores: int
+
+    @classmethod
+    def of(
+        cls,
+        kills: list[Kill],
+        findings: Findings,
+        *,
+        run: Path,
+        took_s: float,
+        status: int,
+        moved_alone: int,
+        loads: tuple[float, float],
+    ) -> Report:
+        """Return the report; reads the run's log. MdbError when there is none that can be read."""
+        logged = {r.message.iteration for r in read_log(run) if r.row is keys.ITERATION}  # type: ignore[attr-defined]
+        return cls(
+            run=run,
+            kills=kills,
+            rows=[Row.of(role, [k for k in kills if k.role == role]) for role in sorted({k.role for k in kills})],
+            total=Row.of("all", kills),
+            findings=findings,
+            iterations=findings.stored,
+            took_s=took_s,
+            status=status,
+            moved_alone=moved_alone,
+            logged=len(logged),
+            loads=loads,
+            cores=os.cpu_count() or 1,
+        )
+
+    @property
+    def within_bounds(self) -> bool:
+        """Whether recovery was as quick as promised."""
+        return self._quicker_than(1.0)
+
+    def _quicker_than(self, factor: float) -> bool:
+        return self.total.median_s < MEDIAN_S * factor and self.total.p99_s < P99_S * factor
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing was lost, and recovery did not miss its bounds by a lot."""
+        return self.findings.holds and not self.moved_alone and self.status in ENDS and self._quicker_than(BY_A_LOT)
+
+    def markdown(self) -> str:
+        """Return the report as it stands in `chaos.md`."""
+        told, together = self.findings, sum(kill.together for kill in self.kills)
+        rows = [
+            f"| {r.role} | {r.kills} | {r.median_s:.2f} | {r.p99_s:.2f} | {r.worst_s:.2f} | {r.token_s:.2f} |"
+            for r in [*self.rows, self.total]
+        ]
+        return "\n".join(
+            [
+                f"{len(self.kills)} kills (SIGKILL) in {self.took_s:.0f} s, {told.stored} iterations; {together} of "
+                f"them while another process was down. Load of the machine: {self.loads[0]:.1f} before, "
+                f"{self.loads[1]:.1f} after, on {self.cores} cores.",
+                "",
+                "| killed | kills | recovery, s: median | p99 | worst | its token back: median |",
+                "|---|--:|--:|--:|--:|--:|",
+                *rows,
+                "",
+                "| promise | found | |",
+                "|---|--:|---|",
+                f"| acknowledged pairs lost: 0 | {len(told.lost)} of {told.acknowledged} | {yes(not told.lost)} |",
+                f"| altered: 0 | {len(told.altered)} | {yes(not told.altered)} |",
+                f"| counted twice: 0 | {len(told.doubled)} | {yes(not told.doubled)} |",
+                f"| actions without a commander: 0 | {self.moved_alone} | {yes(not self.moved_alone)} |",
+                f"| recovery, median < {MEDIAN_S:g} s | {self.total.median_s:.2f} s | "
+                f"{yes(self.total.median_s < MEDIAN_S)} |",
+                f"| recovery, p99 < {P99_S:g} s | {self.total.p99_s:.2f} s | {yes(self.total.p99_s < P99_S)} |",
+                "",
+                f"Iterations that were never stored: {len(told.missing)}. Acknowledgements that the witness missed: "
+                f"{told.stored - told.acknowledged + len(told.lost)}. Iterations whose report is in the run's log: "
+                f"{self.logged} of {told.stored}; the rest happened while nobody recorded.",
+            ]
+        )
+
+
+def yes(met: bool) -> str:
+    """Return the word for a promise that was kept, or not."""
+    return "yes" if met else "**no**"
+
+
+def write_report(report: Report, out: Path) -> str:
+    """Write `chaos.md` and `chaos.json` into a folder; return the text with their place."""
+    text = report.markdown()
+    (out / "chaos.md").write_text(text + "\n", encoding="utf-8")
+    plain = asdict(report) | {"run": str(report.run), "holds": report.holds}
+    (out / "chaos.json").write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
+    return f"{text}\n\nresults: {out}"

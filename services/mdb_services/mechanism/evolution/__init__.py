@@ -1,0 +1,1 @@
+"""Compiled evolution of populations."""

@@ -1,0 +1,1 @@
+"""What a feedback counts, and for which action it is."""

@@ -1,0 +1,1 @@
+"""Short-term and long-term memory, and changes of context."""

@@ -1,0 +1,327 @@
+"""The short-term memory of one model, its replacement strategy, and a follower's mirror of it.
+
+The memory holds the most relevant action-perception pairs, as rows of one model's inputs and targets (paper,
+section 2.2; the strategy is in its reference 12 and ours in detail). Each pair carries a label
+
+    L = Kt * T + Kd * d + Kc * C + Kr * R
+
+and the pair with the lowest leaves when the memory is full: T recency, d distance to the nearest other pair, C the
+current model's error on the pair, R the error when it entered. The distance is over the inputs, so that of pairs
+contradicting each other the older leaves, or over inputs and targets: then both stay, as they must where the inputs
+do not tell everything (ours: a robot that obeys feels few punishments, and a model that forgets them promises too
+much for what it no longer knows). Each term is scaled to [0, 1] over the stored pairs. Kt = 1 and the
+rest 0 is first in, first out. The newcomer itself is never the one that leaves.
+
+When the context has changed (`context.py`), the weights are those of the temporal setting until the new context
+is known, and what is older than the change can be dropped at once.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdb_services.mechanism.networks.network import Floats
+
+Ids = NDArray[np.int64]
+
+
+class VersionGapError(ValueError):
+    """A change does not follow the mirror's version: changes were missed, ask for the whole memory."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MemoryConfig:
+    """The weights of the label's terms."""
+
+    recency: float = 1.0
+    """Kt: keep what came last."""
+    distance: float = 0.0
+    """Kd: keep what is unlike all others."""
+    outcome: float = 0.0
+    """How much the targets count in that distance, where the inputs count 1: above 0, two pairs that began alike and
+    ended differently are unlike, and both stay."""
+    current_error: float = 0.0
+    """Kc: keep what the current model predicts badly."""
+    entry_error: float = 0.0
+    """Kr: keep what was badly predicted when it came."""
+
+    def __post_init__(self) -> None:
+        weights = (self.recency, self.distance, self.current_error, self.entry_error)
+        if not all(0 <= weight < np.inf for weight in weights) or sum(weights) == 0:
+            raise ValueError(f"label weights are {weights}; expected none negative and one positive at least")
+        if not 0 <= self.outcome < np.inf:
+            raise ValueError(f"outcome is {self.outcome}; expected 0, or a positive number")
+
+
+@dataclass(frozen=True)
+class Change:
+    """One step from a version to the next: which slots were written with which pairs, which were emptied."""
+
+    version: int
+    slots: tuple[int, ...]
+    """Slots written, in the order of `ids` and of the rows that come with the change."""
+    ids: tuple[int, ...]
+    evicted: tuple[int, ...]
+    """Ids of the pairs that left."""
+    freed: tuple[int, ...] = ()
+    """Slots that are empty from now on."""
+
+
+class MemoryMirror:
+    """The rows of a short-term memory, kept by applying its changes in order: all that a follower needs."""
+
+    def __init__(self, capacity: int, inputs: int, outputs: int) -> None:
+        if min(capacity, inputs, outputs) < 1:
+            given = (capacity, inputs, outputs)
+            raise ValueError(f"capacity, inputs, outputs are {given}; expected 1 or more each")
+        self.capacity = capacity
+        self.version = 0
+        self._used = np.zeros(capacity, dtype=bool)
+        self._inputs = np.zeros((capacity, inputs), dtype=np.float32)
+        self._targets = np.zeros((capacity, outputs), dtype=np.float32)
+        self._ids = np.zeros(capacity, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return int(self._used.sum())
+
+    @property
+    def slots(self) -> Ids:
+        """Return the slots in use (n,), in order; all arrays of pairs are in this order."""
+        return np.flatnonzero(self._used)
+
+    def arrays(self) -> tuple[Floats, Floats, Ids]:
+        """Return copies of inputs (n, inputs), targets (n, outputs) and ids (n,), in slot order."""
+        return self._inputs[self._used], self._targets[self._used], self._ids[self._used]
+
+    def apply(self, change: Change, inputs: NDArray[Any], targets: NDArray[Any]) -> None:
+        """Take over one change with its rows, inputs (k, inputs) and targets (k, outputs).
+
+        Raises VersionGapError when changes were missed, ValueError when it cannot be; then nothing is changed.
+        """
+        if change.version != self.version + 1:
+            raise VersionGapError(
+                f"change to version {change.version} on a memory of version {self.version}; expected "
+                f"{self.version + 1}: ask for the whole memory"
+            )
+        touched = (*change.slots, *change.freed)
+        if len(set(touched)) < len(touched) or not all(0 <= slot < self.capacity for slot in touched):
+            raise ValueError(
+                f"change touches slots {touched} of {self.capacity}; expected each once and within: "
+                "the change is damaged, ask for the whole memory"
+            )
+        count = len(change.slots)
+        if len(change.ids) != count:
+            raise ValueError(f"change has ids {change.ids} for slots {change.slots}; expected as many of each")
+        input_rows = _rows(inputs, (count, self._inputs.shape[1]), "input rows")
+        target_rows = _rows(targets, (count, self._targets.shape[1]), "target rows")
+        written = np.array(change.slots, dtype=np.intp)
+        self._inputs[written], self._targets[written] = input_rows, target_rows
+        self._ids[written] = change.ids
+        self._used[written] = True
+        self._used[np.array(change.freed, dtype=np.intp)] = False
+        self.version = change.version
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return copies of the stored rows, their slots and ids, and the version."""
+        inputs, targets, ids = self.arrays()
+        version = np.array(self.version, dtype=np.int64)
+        return {"inputs": inputs, "targets": targets, "ids": ids, "slots": self.slots, "version": version}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Take over the state of a mirror or of a `ShortTermMemory`; raises ValueError when it does not fit."""
+        missing = self.state().keys() - state.keys()
+        if missing:
+            raise ValueError(f"state lacks {sorted(missing)}: it is not of a memory of this kind")
+        count = len(state["ids"])
+        shapes = {name: (count, *array.shape[1:]) for name, array in self.state().items() if array.ndim}
+        for name, shape in shapes.items():
+            given = state[name]
+            if given.shape != shape or not np.isfinite(given).all():
+                raise ValueError(f"{name} have shape {given.shape}; expected finite numbers of shape {shape}")
+        slots = state["slots"]
+        if not ((slots >= 0) & (slots < self.capacity)).all() or len(np.unique(slots)) < count:
+            raise ValueError(
+                f"state holds {count} pairs in slots up to {slots.max(initial=0)}, the memory has {self.capacity}: "
+                "make it with that capacity"
+            )
+        self.version = int(state["version"])
+        self._used[:] = False
+        self._used[slots] = True
+        self._inputs[slots], self._targets[slots] = state["inputs"], state["targets"]
+        self._ids[slots] = state["ids"]
+
+
+class ShortTermMemory(MemoryMirror):
+    """The memory's owner: decides which pair leaves when a new one comes."""
+
+    def __init__(self, capacity: int, inputs: int, outputs: int, config: MemoryConfig) -> None:
+        super().__init__(capacity, inputs, outputs)
+        self.config = config
+        self._orders = np.zeros(capacity, dtype=np.int64)
+        self._entry_errors = np.zeros(capacity)
+        self._distances = np.full((capacity, capacity), np.inf, dtype=np.float32)
+        """Squared, over the inputs, of the pairs in all slots; infinite where there is no other pair."""
+        self._outcomes = np.zeros((capacity, capacity) if config.outcome else (0, 0), dtype=np.float32)
+        """The same over the targets, where they may count."""
+
+    def configure(self, config: MemoryConfig) -> None:
+        """Change the label's weights, say to the temporal setting when the context has changed.
+
+        The outcome can count less from now on, or again; if it did not at the beginning, it never does.
+        """
+        self.config = config
+
+    def insert(
+        self,
+        id: int,
+        input_row: NDArray[Any],
+        target_row: NDArray[Any],
+        error_at_entry: float,
+        errors_now: NDArray[Any] | None = None,
+    ) -> Change | None:
+        """Store a pair and return what changed, or None when a pair with this id is stored already.
+
+        errors_now (n,) are the current model's errors on the stored pairs in slot order; None counts as none.
+        Raises ValueError when a row or an error is not finite or does not fit.
+        """
+        if id in self._ids[self._used]:
+            return None
+        if not np.isfinite(error_at_entry):
+            raise ValueError(f"error at entry is {error_at_entry}; expected a finite number: predict the pair first")
+        row = _rows(np.asarray(input_row)[None], (1, self._inputs.shape[1]), "input row")
+        targets = _rows(np.asarray(target_row)[None], (1, self._targets.shape[1]), "target row")
+        full = len(self) == self.capacity
+        slot = self._lowest(row[0], targets[0], errors_now) if full else int(np.argmin(self._used))
+        evicted = (int(self._ids[slot]),) if full else ()
+        change = Change(self.version + 1, (slot,), (id,), evicted)
+        self._write(change, row, targets, error_at_entry)
+        return change
+
+    def since(self, version: int) -> tuple[Floats, Floats, NDArray[np.float64]]:
+        """Return inputs (n, inputs), targets (n, outputs) and errors at entry (n,) of what entered since `version`.
+
+        That version's pair included, recalled pairs (negative ids) not, the oldest first.
+        """
+        slots = np.flatnonzero(self._used & (self._orders >= version) & (self._ids >= 0))
+        slots = slots[np.argsort(self._orders[slots], kind="stable")]
+        return self._inputs[slots], self._targets[slots], self._entry_errors[slots]
+
+    def begin_context(
+        self, first: int, ids: tuple[int, ...] = (), inputs: NDArray[Any] | None = None, targets: Any = None
+    ) -> Change:
+        """Drop what entered before version `first`, and what was recalled; store recalled pairs; return what changed.
+
+        ids (k,), inputs (k, inputs) and targets (k, outputs) are pairs of the context that came back, from the
+        long-term memory; of more than there is room for the last are left out. With `first` 0 nothing is dropped.
+        """
+        stays = self._used & (self._orders >= first) & (self._ids >= 0) if first else self._used
+        free = np.flatnonzero(~stays)
+        ids = ids[: len(free)]
+        slots = tuple(int(slot) for slot in free[: len(ids)])
+        leaving = self._used & ~stays
+        freed = tuple(int(slot) for slot in np.flatnonzero(leaving) if slot not in slots)
+        evicted = tuple(int(id) for id in self._ids[leaving])
+        change = Change(self.version + 1, slots, ids, evicted, freed)
+        rows = self._inputs[:0], self._targets[:0]
+        if inputs is not None:
+            rows = inputs[: len(ids)], targets[: len(ids)]
+        self._write(change, rows[0], rows[1], 0.0)
+        return change
+
+    def _write(self, change: Change, inputs: NDArray[Any], targets: NDArray[Any], entry_error: float) -> None:
+        self.apply(change, inputs, targets)
+        self._distances[list(change.freed), :] = self._distances[:, list(change.freed)] = np.inf
+        for slot in change.slots:
+            self._orders[slot], self._entry_errors[slot] = change.version, entry_error
+            self._measure(slot)
+
+    def _measure(self, slot: int) -> None:
+        """Write the distances of a slot's pair to all others."""
+        gaps = np.where(self._used, _squared(self._inputs, self._inputs[slot]), np.float32(np.inf))
+        gaps[slot] = np.inf
+        self._distances[slot], self._distances[:, slot] = gaps, gaps
+        if self._outcomes.size:
+            apart = _squared(self._targets, self._targets[slot])
+            self._outcomes[slot], self._outcomes[:, slot] = apart, apart
+
+    def labels(self, errors_now: NDArray[Any] | None = None) -> NDArray[np.float64]:
+        """Return the label of each stored pair, in slot order."""
+        return self._labels(None, errors_now)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return copies of all arrays from which `restore` continues identically."""
+        own = {"orders": self._orders[self._used], "entry_errors": self._entry_errors[self._used]}
+        return super().state() | own
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Continue from what `state` gave; raises ValueError when it does not fit."""
+        super().restore(state)
+        slots = state["slots"]
+        self._orders[slots], self._entry_errors[slots] = state["orders"], state["entry_errors"]
+        self._distances[:] = np.inf
+        for slot in slots:
+            self._measure(int(slot))
+
+    def _nearest(self, newcomer: tuple[Floats, Floats] | None) -> Floats:
+        """Return the squared distance (n,) of each pair to the nearest other, the newcomer among them."""
+        gaps = self._distances
+        if self._outcome:
+            gaps = gaps + self._outcome * self._outcomes
+        nearest: Floats = gaps.min(axis=1)[self._used]
+        if newcomer is not None:
+            apart = _squared(self._inputs, newcomer[0])[self._used]
+            if self._outcome:
+                apart += self._outcome * _squared(self._targets, newcomer[1])[self._used]
+            nearest = np.minimum(nearest, apart)
+        return nearest
+
+    @property
+    def _outcome(self) -> np.float32:
+        return np.float32(self.config.outcome if self._outcomes.size else 0)
+
+    def _lowest(self, row: Floats, target: Floats, errors_now: NDArray[Any] | None) -> int:
+        """Return the slot of the pair that leaves when one with this row and target comes; of equals the oldest."""
+        labels = self._labels((row, target), errors_now)
+        lowest = np.flatnonzero(labels == labels.min())
+        slots = self.slots[lowest]
+        return int(slots[np.argmin(self._orders[slots])])
+
+    def _labels(self, newcomer: tuple[Floats, Floats] | None, errors_now: NDArray[Any] | None) -> NDArray[np.float64]:
+        """Return the labels when a pair of this row and target comes, or as they are."""
+        config = self.config
+        labels = np.zeros(len(self))
+        if config.recency:
+            orders = self._orders[self._used]
+            labels += config.recency * _scaled((orders - orders.min(initial=self.version)).astype(np.float64))
+        if config.distance:
+            nearest = self._nearest(newcomer).astype(np.float64)
+            labels += config.distance * _scaled(np.sqrt(nearest))
+        if config.current_error and errors_now is not None:
+            errors = _rows(errors_now, (len(self),), "errors now")
+            labels += config.current_error * _scaled(errors.astype(np.float64))
+        if config.entry_error:
+            labels += config.entry_error * _scaled(self._entry_errors[self._used])
+        return labels
+
+
+def _squared(rows: Floats, row: Floats) -> Floats:
+    """Return the squared distance (n,) of each row (n, columns) to one (columns,)."""
+    difference = rows - row
+    squared: Floats = np.einsum("ij,ij->i", difference, difference)
+    return squared
+
+
+def _scaled(term: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a term that is nowhere negative over its largest finite value; infinite counts as one."""
+    largest = term[np.isfinite(term)].max(initial=0.0)
+    return np.minimum(term / largest, 1.0) if largest > 0 else np.where(term > 0, 1.0, 0.0)
+
+
+def _rows(values: NDArray[Any], shape: tuple[int, ...], what: str) -> Floats:
+    rows = np.asarray(values, dtype=np.float32)
+    if rows.shape != shape or not np.isfinite(rows).all():
+        raise ValueError(f"{what} have shape {rows.shape}; expected finite numbers of shape {shape}")
+    return rows

@@ -1,0 +1,1 @@
+"""Networks, what goes into them and comes out, and their random numbers."""

@@ -1,0 +1,1 @@
+"""Bodies that keep the contract in `mdb_sim.body`."""

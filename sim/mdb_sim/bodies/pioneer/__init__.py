@@ -1,0 +1,1 @@
+"""The Pioneer 2 and its world: in PyBullet, and as a kinematic twin."""

@@ -1,0 +1,1 @@
+"""The robot as a service, around any body."""

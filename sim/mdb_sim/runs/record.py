@@ -1,0 +1,292 @@
+"""One run as arrays by iteration, read from its run log and its experiment file alone.
+
+Owns `RunRecord` and its reading; what is made of it is in `measures` and `figures`. It must not write, and
+must not use anything of a run but `run*.mcap` and `experiment.toml`. Of messages that came twice (a service
+sends again what was not acknowledged) the first counts. Feedback may come after the report of its iteration, with the
+pair that is then sent again; the errors foreseen are then those of the models of that iteration, as if it had been in
+time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from mdb_protocol.messages import CurrentModel, IterationReport, Message, Pair, Phase, Placement, Scene, Timing
+from mdb_services.experiment.brain import EXPERIMENT_FILE, BrainConfig
+from mdb_services.acting.cycle import prequential
+from mdb_services.mechanism.choice import Known
+from mdb_services.mechanism.networks.encoding import Codebook
+from mdb_services.mechanism.networks.network import Network
+from mdb_services.recorder import Recorded, read_log
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.teaching.schedule import schedule_of
+from mdb_sim.teaching.teacher import Language
+
+ABSENT = -1
+"""Stands in `note` for silence, and in `action` for an iteration whose report is not in the log."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Span:
+    """A phase as it lies in the run: iterations `start` to `stop`, `stop` not included."""
+
+    name: str
+    start: int
+    stop: int
+    teacher: str | None = None
+    language: Language | None = None
+    """What its notes mean; None when nobody teaches, or when the teacher is not the experiment's own."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """The actions from one placement of the object to the next; `places` has one more entry than actions."""
+
+    start: int
+    event: str
+    places: tuple[Placement, ...]
+
+    @property
+    def steps(self) -> int:
+        """Number of actions."""
+        return len(self.places) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class RunRecord:
+    """A run by iteration: arrays have shape (iterations,) and nan, `ABSENT` or "" where the log has nothing.
+
+    `captures` has shape (iterations + 1,): captures after so many actions, so `captures[b] - captures[a]` are
+    those of iterations a to b. Times are in seconds, `feedback` in [-1, 1], `prequential` in scaled units
+    squared.
+    """
+
+    run: Path
+    experiment: Experiment
+    spans: tuple[Span, ...]
+    reported: Flags
+    action: Ints
+    note: Ints
+    feedback: Floats
+    explored: Flags
+    mode: NDArray[np.str_]
+    event: NDArray[np.str_]
+    captures: Ints
+    prequential: dict[str, Floats]
+    versions: dict[str, Ints]
+    perception_to_action_s: Floats
+    cycle_s: Floats
+    models: dict[tuple[str, int], CurrentModel]
+    """Current models by name and memory version."""
+    scenes: dict[int, Scene]
+    """What a bystander saw, by the number of actions done."""
+
+    @property
+    def iterations(self) -> int:
+        """Iterations in the log, up to the last one that it knows of."""
+        return len(self.reported)
+
+    @property
+    def seed(self) -> int:
+        """The experiment's seed."""
+        return self.experiment.brain.experiment.seed
+
+    @property
+    def random_iterations(self) -> int:
+        """Iterations of forced exploration at the beginning."""
+        return self.experiment.brain.optimizer.random_iterations
+
+    @cached_property
+    def communication(self) -> str | None:
+        """Name of the model that foresees the feedback to a note (paper, figure 3 top), if there is one."""
+        for model in self.experiment.brain.model:
+            if model.role == "world" and "note" in model.inputs and "feedback" in model.outputs:
+                return model.name
+        return None
+
+    @property
+    def commanded(self) -> Flags:
+        """Iterations in which the brain heard a note."""
+        heard: Flags = self.note != ABSENT
+        return heard
+
+    @property
+    def taught(self) -> tuple[Span, ...]:
+        """The phases in which somebody teaches."""
+        return tuple(span for span in self.spans if span.teacher is not None)
+
+    def span_at(self, iteration: int) -> Span | None:
+        """Return the phase of an iteration."""
+        return next((span for span in self.spans if span.start <= iteration < span.stop), None)
+
+    def episodes(self) -> Iterator[Episode]:
+        """Yield the episodes that the log holds without a gap, the last and perhaps unended one left out."""
+        start, places = 0, list[Placement]()
+        for count in sorted(self.scenes):
+            scene = self.scenes[count]
+            if scene.before is None or scene.action is None:
+                places = []
+                continue
+            if not places or start + len(places) != count:
+                start, places = count - 1, [scene.before]
+            places.append(scene.reached)
+            if scene.event != "none":
+                if self._is_whole(start):
+                    yield Episode(start, scene.event, tuple(places))
+                places = []
+
+    def _is_whole(self, start: int) -> bool:
+        """Whether an episode began where the object was placed: at the first scene, or after an event."""
+        scene = self.scenes.get(start)
+        return scene is not None and (scene.action is None or scene.event != "none")
+
+
+@dataclass
+class _Found:
+    """Messages of a log by iteration; the first of each counts."""
+
+    reports: dict[int, IterationReport] = field(default_factory=dict)
+    scenes: dict[int, Scene] = field(default_factory=dict)
+    phases: dict[int, Phase] = field(default_factory=dict)
+    timings: dict[int, Timing] = field(default_factory=dict)
+    models: dict[tuple[str, int], CurrentModel] = field(default_factory=dict)
+    judged: dict[int, Pair] = field(default_factory=dict)
+    """The pairs that have feedback."""
+
+    def take(self, message: Message) -> None:
+        match message:
+            case IterationReport():
+                self.reports.setdefault(message.iteration, message)
+            case Scene():
+                self.scenes.setdefault(message.iteration, message)
+            case Phase():
+                self.phases.setdefault(message.iteration, message)
+            case Timing():
+                self.timings.setdefault(message.iteration, message)
+            case CurrentModel():
+                self.models.setdefault((message.model, message.version), message)
+            case Pair() if message.feedback is not None:
+                self.judged.setdefault(message.iteration, message)
+
+    def with_late_feedback(self, brain: BrainConfig) -> dict[int, IterationReport]:
+        """Return the reports with the feedback that came after them, and the errors that it shows."""
+        variables = brain.variables()
+        books = {model.name: Codebook(variables, model.inputs, model.outputs) for model in brain.model}
+        return {i: self._judged(report, books) for i, report in self.reports.items()}
+
+    def _judged(self, report: IterationReport, books: Mapping[str, Codebook]) -> IterationReport:
+        pair = self.judged.get(report.iteration)
+        if pair is None or report.feedback is not None:
+            return report
+        acted_upon = {name: self.models.get((name, version)) for name, version in report.versions.items()}
+        networks = {
+            name: Known(books[name], Network.from_arrays(model.layers, model.weights))
+            for name, model in acted_upon.items()
+            if model is not None and name in books
+        }
+        errors = report.prequential | prequential(networks, pair)
+        return structs.replace(report, feedback=pair.feedback, judges=pair.judges, prequential=errors)
+
+    @property
+    def iterations(self) -> int:
+        return max([0, *(i + 1 for i in self.reports), *self.scenes])
+
+
+def read_record(run: Path) -> RunRecord:
+    """Return the record of a run folder, finished or not; MdbError when log or experiment file is missing."""
+    experiment = Experiment.read(run / EXPERIMENT_FILE)
+    return record_of(run, experiment, read_log(run))
+
+
+def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> RunRecord:
+    """Return the record of messages in the order in which they were recorded."""
+    found = _Found()
+    for recorded in log:
+        found.take(recorded.message)
+    reports, n = found.with_late_feedback(experiment.brain), found.iterations
+    return RunRecord(
+        run=run,
+        experiment=experiment,
+        spans=_spans(experiment, found.phases, n, heard=any(r.note is not None for r in reports.values())),
+        reported=_column(n, dict.fromkeys(reports, True), False, np.bool_),
+        action=_column(n, {i: r.action for i, r in reports.items()}, ABSENT, np.int64),
+        note=_column(n, {i: r.note for i, r in reports.items()}, ABSENT, np.int64),
+        feedback=_column(n, {i: r.feedback for i, r in reports.items()}, np.nan, np.float64),
+        explored=_column(n, {i: r.explored for i, r in reports.items()}, False, np.bool_),
+        mode=_column(n, {i: r.mode for i, r in reports.items()}, "", np.dtype("U64")),
+        event=_column(n, {i: r.event for i, r in reports.items()}, "", np.dtype("U8")),
+        captures=_captures(found, n),
+        prequential=_by_model(n, {i: r.prequential for i, r in reports.items()}, np.nan, np.float64),
+        versions=_by_model(n, {i: r.versions for i, r in reports.items()}, 0, np.int64),
+        perception_to_action_s=_column(
+            n, {i: t.perception_to_action_s for i, t in found.timings.items()}, np.nan, np.float64
+        ),
+        cycle_s=_column(n, {i: t.cycle_s for i, t in found.timings.items()}, np.nan, np.float64),
+        models=found.models,
+        scenes=found.scenes,
+    )
+
+
+def _column(n: int, values: Mapping[int, Any], absent: Any, dtype: Any) -> NDArray[Any]:
+    """Return values by iteration (n,); what is None or missing is `absent`."""
+    column = np.full(n, absent, dtype)
+    for i, value in values.items():
+        if value is not None and i < n:
+            column[i] = value
+    return column
+
+
+def _by_model(n: int, values: Mapping[int, Mapping[str, float]], absent: Any, dtype: Any) -> dict[str, NDArray[Any]]:
+    names = sorted({name for by_name in values.values() for name in by_name})
+    return {name: _column(n, {i: v.get(name) for i, v in values.items()}, absent, dtype) for name in names}
+
+
+def _captures(found: _Found, n: int) -> Ints:
+    """Return the captures after 0 to n actions.
+
+    Counted from the events, for a robot that was restarted counts from its own beginning. What happened while
+    nobody recorded comes from the robot's own count, at the first scene after the gap.
+    """
+    gained = np.zeros(n + 1, np.int64)
+    last = 0
+    for i in range(n):
+        report, scene = found.reports.get(i), found.scenes.get(i + 1)
+        event = scene.event if scene else report.event if report else "none"
+        gained[i + 1] = event == "capture"
+        if scene is not None:
+            before = found.scenes.get(last)
+            missed = scene.captures - (before.captures if before else 0) - int(gained[last + 1 : i + 2].sum())
+            gained[i + 1] += max(0, missed)
+            last = i + 1
+    return np.cumsum(gained)
+
+
+def _spans(experiment: Experiment, logged: Mapping[int, Phase], n: int, *, heard: bool) -> tuple[Span, ...]:
+    """Return the phases: those that were announced, and of the experiment's schedule those still to come."""
+    planned: dict[int, Span] = {}
+    if experiment.teacher is not None:
+        schedule = schedule_of(experiment.teacher, experiment.brain.experiment.seed, experiment.robot.world)
+        planned = {p.start: Span(p.name, p.start, p.start, p.teacher, p.language) for p in schedule.phases}
+    end = max(n, experiment.brain.experiment.iterations)
+    starts = {i: span for i, span in planned.items() if i > max(logged, default=-1)}
+    for i, phase in logged.items():
+        plan = planned.get(i)
+        language = plan.language if plan is not None and plan.teacher == phase.teacher else None
+        starts[i] = Span(phase.name, i, i, phase.teacher, language)
+    if not starts:
+        starts[0] = Span("whole run", 0, 0, "somebody" if heard else None)
+    edges = [*sorted(i for i in starts if i < end), end]
+    return tuple(replace(starts[a], stop=b) for a, b in pairwise(edges))
