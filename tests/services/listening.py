@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.experiment.brain import EarSection
+from mdb_services.experiment.sections import EarSection
 from mdb_services.hearing.pitch import Heard, NoteDetector
 from mdb_sim.teaching.sound import INSTRUMENTS, InstrumentName, NoiseName, mix, noise, play, to_int16
 

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mdb_protocol.errors import ConfigError
-from mdb_services.experiment.brain import brain_config, read_file
+from mdb_services.experiment.brain import brain_config
+from mdb_services.experiment.reading import read_file
 from mdb_services.mechanism.memories.context import ContextConfig
 from mdb_services.mechanism.memories.ltm import LongTermConfig
 from mdb_services.mechanism.settings import AdamConfig, RidgeConfig

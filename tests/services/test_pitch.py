@@ -16,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mdb_protocol.errors import ConfigError
-from mdb_services.experiment.brain import EarSection, convert
+from mdb_services.experiment.reading import convert
+from mdb_services.experiment.sections import EarSection
 from mdb_services.hearing import pitch
 from mdb_services.hearing.pitch import Heard, NoteDetector
 from mdb_sim.teaching.sound import INSTRUMENTS, NOISES, InstrumentName, mix, noise, play, to_int16

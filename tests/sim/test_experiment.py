@@ -9,7 +9,7 @@ from mdb_protocol import keys
 from mdb_protocol.codec import to_plain
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.experiment.brain import read_file
+from mdb_services.experiment.reading import read_file
 from mdb_services.recorder import read_log
 from mdb_sim.runs.compare import timeless
 from mdb_sim.runs.experiment import Experiment

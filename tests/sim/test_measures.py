@@ -13,7 +13,7 @@ from mdb_protocol.errors import MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import CurrentModel, IterationReport, Message, Pair, Phase, Placement, Scene, Timing
-from mdb_services.experiment.brain import read_file
+from mdb_services.experiment.reading import read_file
 from mdb_services.mechanism.networks.network import Network
 from mdb_services.recorder import Recorder
 from mdb_sim.runs import measures

@@ -41,7 +41,8 @@ def _up(arguments: argparse.Namespace) -> int:
     from mdb_deploy.running.processes import ENDPOINT_FILE
     from mdb_deploy.running.progress import Progress
     from mdb_deploy.running.up import UpOptions, check_listen, new_run_folder, up_inline, up_processes
-    from mdb_services.experiment.brain import EXPERIMENT_FILE, read_file
+    from mdb_services.experiment.brain import EXPERIMENT_FILE
+    from mdb_services.experiment.reading import read_file
     from mdb_sim.runs.experiment import Experiment
 
     overrides = overrides_of(arguments)

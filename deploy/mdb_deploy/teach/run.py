@@ -20,7 +20,8 @@ from mdb_deploy.teach.session import TeachingSession
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import ConfigError, MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.experiment.brain import EarSection, convert, read_file
+from mdb_services.experiment.reading import convert, read_file
+from mdb_services.experiment.sections import EarSection
 from mdb_sim.body import RobotConfig
 from mdb_sim.teaching.service import ROLE
 from mdb_sim.teaching.sound import Player, SoundSection

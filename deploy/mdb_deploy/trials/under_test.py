@@ -23,7 +23,8 @@ from mdb_deploy.running.processes import ENDPOINT_FILE
 from mdb_protocol import keys
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.experiment.brain import EXPERIMENT_FILE, read_file
+from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.reading import read_file
 from mdb_sim.runs.experiment import Experiment
 
 START_S = 100.0

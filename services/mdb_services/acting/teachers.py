@@ -5,12 +5,10 @@ Owns the policy of several teachers. Pure: the optimizer hands in what came and 
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from mdb_protocol import messages
-
-Word = Literal["first", "all"]
-"""first: who comes first holds the word until he is silent or gone; all: the first note of each iteration counts."""
+from mdb_services.experiment.sections import Word
 
 ROLE = "teacher"
 KEPT_AHEAD = 256

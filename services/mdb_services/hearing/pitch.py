@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_protocol.errors import ConfigError
-from mdb_services.experiment.brain import EarSection
+from mdb_services.experiment.sections import EarSection
 
 Samples = NDArray[np.float64]
 

@@ -14,7 +14,8 @@ import msgspec
 import numpy as np
 
 from mdb_protocol import messages
-from mdb_services.experiment.brain import BrainConfig, ModelSection
+from mdb_services.experiment.brain import BrainConfig
+from mdb_services.experiment.sections import ModelSection
 from mdb_services.mechanism.memories.context import ContextDetector
 from mdb_services.mechanism.memories.ltm import LongTermMemory, Stability, Stored, Trial, sample_of
 from mdb_services.mechanism.memories.stm import Change, MemoryConfig, ShortTermMemory

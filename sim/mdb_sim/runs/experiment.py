@@ -15,7 +15,9 @@ from msgspec import Meta
 
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import ConfigError
-from mdb_services.experiment.brain import BrainConfig, Section, brain_config, convert, read_file
+from mdb_services.experiment.brain import BrainConfig, brain_config
+from mdb_services.experiment.sections import Section
+from mdb_services.experiment.reading import convert, read_file
 from mdb_sim.body import Robot, RobotConfig, RobotError, make_robot
 from mdb_sim.robot.service import RobotService
 from mdb_sim.teaching.schedule import TeacherSection, schedule_of

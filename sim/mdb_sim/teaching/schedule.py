@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from mdb_services.experiment.brain import Name, Probability, Section
+from mdb_services.experiment.sections import Name, Probability, Section
 from mdb_services.mechanism.networks import streams
 from mdb_sim.body import Placement, RobotConfig
 from mdb_sim.teaching.sound import SoundSection

@@ -15,7 +15,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from mdb_protocol.messages import AudioFrame
-from mdb_services.experiment.brain import Section
+from mdb_services.experiment.sections import Section
 from mdb_services.mechanism.networks import streams
 
 InstrumentName = Literal["sine", "flute", "string", "clarinet", "piano", "voice"]

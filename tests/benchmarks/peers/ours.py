@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.experiment.brain import brain_config, read_file
+from mdb_services.experiment.brain import brain_config
+from mdb_services.experiment.reading import read_file
 from mdb_services.mechanism.evolution.kernel import in_blocks, population_errors
 from mdb_services.mechanism.learners.pbga import PromoterGA
 from mdb_services.mechanism.networks.network import Shape

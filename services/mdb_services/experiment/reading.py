@@ -1,0 +1,92 @@
+"""How an experiment file is read: TOML, then overrides (`--set evolution.population=400`), then checked.
+
+Owns the words in which a mistake is told. Knows no section.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from mdb_protocol.errors import ConfigError
+
+T = TypeVar("T")
+
+
+def read_file(path: Path, overrides: Iterable[str] = ()) -> dict[str, Any]:
+    """Return the plain content of an experiment file with `NAME.NAME=VALUE` overrides applied.
+
+    A model's, mode's or phase's name picks it from its list: `model.object.evolution.population=400`.
+    Raises ConfigError when the file cannot be read or an override cannot be applied.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read the experiment file {path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}") from error
+    for override in overrides:
+        _override(content, override)
+    return content
+
+
+def convert(section: Mapping[str, Any], cls: type[T], source: object) -> T:
+    """Return the checked section; ConfigError names the source and the path of what is wrong."""
+    try:
+        return msgspec.convert(section, cls, strict=True)
+    except (msgspec.ValidationError, ValueError) as error:
+        raise ConfigError(f"{source}: {error}") from error
+
+
+def make(cls: type[T], fields: Mapping[str, Any], what: str) -> T:
+    """Return a dataclass of the mechanism from plain fields; ConfigError on unknown names or bad values."""
+    known = cls.__dataclass_fields__  # type: ignore[attr-defined]
+    for name in fields:
+        if name not in known:
+            raise ConfigError(f"{what}: unknown setting {name!r}{nearest(name, known)}")
+    try:
+        return msgspec.convert(dict(fields), cls, strict=True)
+    except (msgspec.ValidationError, ValueError) as error:
+        raise ConfigError(f"{what}: {error}") from error
+
+
+def _override(content: dict[str, Any], override: str) -> None:
+    path, equals, text = override.partition("=")
+    names = path.strip().split(".")
+    if not equals or not all(names):
+        raise ConfigError(f"--set {override!r}: expected SECTION.NAME=VALUE, as in evolution.population=400")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    place: Any = content
+    for i, name in enumerate(names[:-1]):
+        place = place.setdefault(name, {}) if isinstance(place, dict) else _by_name(place, name, override)
+        here = ".".join(names[: i + 1])
+        if not isinstance(place, dict | list):
+            raise ConfigError(f"--set {override!r}: {here} is a value, not a section")
+        if isinstance(place, list) and not all(isinstance(entry, dict) for entry in place):
+            raise ConfigError(f"--set {override!r}: {here} is a list of values, not of named entries; give it whole")
+    if not isinstance(place, dict):
+        raise ConfigError(f"--set {override!r}: name the entry, as in model.object.hidden=[12]")
+    place[names[-1]] = value
+
+
+def _by_name(entries: list[Any], name: str, override: str) -> Any:
+    for entry in entries:
+        if entry.get("name") == name:
+            return entry
+    names = [str(entry.get("name")) for entry in entries]
+    raise ConfigError(f"--set {override!r}: no entry named {name!r}; there are {', '.join(names)}")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return what to add to an error about a name that is not known: the nearest one, or all that there are."""
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, 1)
+    return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(names)}"
