@@ -9,7 +9,7 @@ import pytest
 
 from mdb_protocol import messages
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.acting.optimizer import UNSTORED
+from mdb_services.acting.outbox import UNSTORED
 from tests.integration.brain import Brain, until
 from tests.integration.ears import Ears, frozen, longest_gap_s, of, stored_iterations
 from tests.integration.test_survival import LONG

@@ -22,7 +22,7 @@ from mdb_deploy.running.processes import ROUTER_CONFIG
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.messages import Message
 from mdb_protocol.zenoh_bus import Router, ZenohBus
-from mdb_services.acting.optimizer import UNSTORED
+from mdb_services.acting.outbox import UNSTORED
 from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_services.memory.file import PAGE
 from mdb_services.recorder import read_log

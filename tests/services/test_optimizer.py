@@ -8,7 +8,8 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.acting.optimizer import ENDING_S, UNSTORED, Optimizer
+from mdb_services.acting.optimizer import ENDING_S, Optimizer
+from mdb_services.acting.outbox import UNSTORED
 from mdb_services.acting.teachers import KEPT_AHEAD
 from mdb_services.experiment.brain import BrainConfig, brain_config
 from mdb_services.shell.elsewhere import BELIEVED_AFTER_S
@@ -433,7 +434,7 @@ def test_commands_feedback_and_acknowledgements_of_what_never_was_are_refused() 
         rig.store(far, object=2**53)
     rig.store(0, object=2**53)
     assert (rig.refused(keys.COMMAND), rig.refused(keys.FEEDBACK), rig.refused(keys.PAIR_STORED)) == (2, 2, 3)
-    assert rig.optimizer._required == {}
+    assert rig.optimizer._models.required == {}
     rig.command(KEPT_AHEAD)
     rig.command(0)
     rig.sense(1)

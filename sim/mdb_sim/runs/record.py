@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mdb_protocol.messages import CurrentModel, IterationReport, Message, Pair, Phase, Placement, Scene, Timing
 from mdb_services.experiment.brain import EXPERIMENT_FILE, BrainConfig
-from mdb_services.acting.cycle import prequential
+from mdb_services.acting.models import prequential
 from mdb_services.mechanism.choice import Known
 from mdb_services.mechanism.networks.encoding import Codebook
 from mdb_services.mechanism.networks.network import Network

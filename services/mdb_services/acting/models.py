@@ -1,44 +1,17 @@
-"""One iteration of the operation cycle in the making, and the models that it acts upon.
-
-Owns what the optimizer knows of the present iteration. Sends and waits for nothing.
-"""
+"""The current models that the optimizer acts upon. Sends and waits for nothing."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from mdb_protocol import messages
-from mdb_services.mechanism.choice import Choice, Known
+from mdb_services.mechanism.choice import Known
 from mdb_services.mechanism.networks.encoding import Codebook
 from mdb_services.mechanism.networks.network import Network
 from mdb_services.shell.facts import facts_of
-
-
-@dataclass
-class Cycle:
-    """One iteration in the making."""
-
-    perception: messages.Perception
-    started_s: float
-    """When the perception came."""
-    begun_s: float
-    """When the cycle before was done: from here on a command is awaited."""
-    gave_up: set[str] = field(default_factory=set)
-    note: int | None = None
-    teacher: str | None = None
-    holder: str | None = None
-    choice: Choice | None = None
-    models: dict[str, Known] = field(default_factory=dict)
-    versions: dict[str, int] = field(default_factory=dict)
-    acted_s: float = 0.0
-    sent_s: float = 0.0
-    action: messages.Action | None = None
-    outcome: messages.Perception | None = None
-    outcome_s: float = 0.0
-    taken_up: bool = False
-    """Whether it was begun by an optimizer that has died."""
 
 
 @dataclass
@@ -50,6 +23,17 @@ class CurrentModels:
     versions: dict[str, int] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)
     """Mean squared, of each over its memory, in scaled units."""
+    required: dict[str, int] = field(default_factory=dict)
+    """Of each model, the version of its memory that it is to have learnt, as far as is known."""
+
+    @property
+    def are_in(self) -> bool:
+        """Whether each has learnt what it is required to."""
+        return all(self.versions.get(name, 0) >= version for name, version in self.required.items())
+
+    def behind(self) -> dict[str, int]:
+        """Return how many versions each is behind."""
+        return {name: max(v - self.versions.get(name, 0), 0) for name, v in self.required.items()}
 
     def take(self, model: messages.CurrentModel) -> str | None:
         """Use a model from now on; return what is wrong with it instead, if anything is."""
@@ -69,14 +53,7 @@ class CurrentModels:
         return None
 
 
-def differs(done: messages.Action | None, wanted: messages.Action | None) -> bool:
-    """Whether the robot did something else than was wanted: what an optimizer before us had wanted."""
-    if done is None or wanted is None:
-        return False
-    return (done.action, done.intention) != (wanted.action, wanted.intention)
-
-
-def prequential(models: dict[str, Known], pair: messages.Pair) -> dict[str, float]:
+def prequential(models: Mapping[str, Known], pair: messages.Pair) -> dict[str, float]:
     """Return each model's mean squared error on a pair that it has not learnt yet."""
     facts, errors = facts_of(pair), {}
     for name, (codebook, network, _) in models.items():
