@@ -8,17 +8,17 @@ from hypothesis import strategies as st
 from numba import njit
 from numba.core.errors import TypingError
 
+from mdb_services.mechanism.evolution.genomes import in_blocks
 from mdb_services.mechanism.evolution.kernel import (
     BLOCK,
     LANES,
     TANH_ERROR,
-    in_blocks,
     population_errors,
-    reference_errors,
     tanh32,
     tanh_pair,
 )
 from mdb_services.mechanism.networks.network import Shape
+from tests.mechanism.reference import reference_errors
 
 shapes = st.builds(
     Shape, st.integers(1, 9), st.lists(st.integers(1, 9), min_size=1, max_size=3).map(tuple), st.integers(1, 4)

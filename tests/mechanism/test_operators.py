@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mdb_services.mechanism.evolution import operators
-from mdb_services.mechanism.evolution.kernel import VERSION, in_blocks
+from mdb_services.mechanism.evolution.genomes import in_blocks
+from mdb_services.mechanism.evolution.kernel import VERSION
 from mdb_services.mechanism.evolution.operators import ROW, Settings
 from mdb_services.mechanism.networks.network import Shape, split_layers
 from mdb_services.mechanism.settings import EvolutionConfig

@@ -190,6 +190,50 @@ def test_a_full_disk_acknowledges_nothing_and_loses_nothing(make_rig: MakeRig) -
     assert rig.store.values()["disk_refuses"] == 0
 
 
+def test_after_a_full_disk_a_pair_meets_the_newest_models(make_rig: MakeRig) -> None:
+    rig = make_rig(config(experiment=LOCKSTEP))
+    rig.now = 1000.0
+    rig.show(model("object", 1))
+    pages = rig.store._file._db.execute("PRAGMA page_count").fetchone()[0]
+    rig.store._file._db.execute(f"PRAGMA max_page_count = {pages}")
+    given = -1
+    while not rig.store.values()["disk_refuses"]:
+        given += 1
+        rig.give(pair(given, versions={}))
+    rig.show(model("object", 2))
+    rig.now += RETRY_S
+    rig.store.step()
+    assert rig.store.values()["unwritten"] >= 2, "it was tried again"
+    (kept,) = rig.outside.query(keys.KEPT_MODEL, 1.0)
+    assert kept.version == 2, "what came meanwhile is not forgotten"
+    rig.store._file._db.execute(f"PRAGMA max_page_count = {pages + 1000}")
+    rig.now += RETRY_S
+    rig.store.step()
+    taken(rig.stored)
+    rig.give(pair(given + 1, versions={"object": 3}))
+    assert taken(rig.stored) == []
+    assert rig.store.values()["gave_up.models"] == 0
+    rig.show(model("object", 3))
+    assert [answer.iteration for answer in taken(rig.stored)] == [given + 1]
+
+
+def test_after_a_full_disk_a_pair_still_waits_for_its_models(make_rig: MakeRig) -> None:
+    rig = make_rig(config(experiment=LOCKSTEP))
+    rig.now = 1000.0
+    pages = rig.store._file._db.execute("PRAGMA page_count").fetchone()[0]
+    rig.store._file._db.execute(f"PRAGMA max_page_count = {pages}")
+    given = -1
+    while not rig.store.values()["disk_refuses"]:
+        given += 1
+        rig.show(model("object", given))
+        rig.give(pair(given, versions={"object": given}))
+    rig.store._kept.clear()  # as after a death, of an evolver that has not come back yet
+    rig.store._file._db.execute(f"PRAGMA max_page_count = {pages + 1000}")
+    rig.now += RETRY_S
+    rig.store.step()
+    assert rig.store.values()["gave_up.models"] == 0, "its patience begins when it begins to wait"
+
+
 def _filled(path: Path, settings: BrainConfig | None = None) -> None:
     rig = Rig(path, settings or config())
     rig.give(*(pair(i) for i in range(40)))

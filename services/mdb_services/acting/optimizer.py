@@ -82,7 +82,14 @@ class Optimizer:
         self._actions = bus.publisher(keys.ACTION)
         self._outbox = Outbox(bus.publisher(keys.PAIR), config.optimizer.resend_s)
         # Of who has died and comes back, lockstep must not tell.
-        self._waits = Waits(config, clock, lambda: bus.alive() | expected, self._models, self._teachers, self._outbox)
+        self._waits = Waits(
+            config,
+            clock,
+            lambda: bus.alive() | expected,
+            models=self._models,
+            teachers=self._teachers,
+            outbox=self._outbox,
+        )
         self._intake = Intake(
             bus,
             self._models,

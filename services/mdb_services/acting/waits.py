@@ -26,6 +26,7 @@ class Waits:
         config: BrainConfig,
         clock: Callable[[], float],
         alive: Callable[[], frozenset[str]],
+        *,
         models: CurrentModels,
         teachers: Teachers,
         outbox: Outbox,
@@ -64,7 +65,7 @@ class Waits:
         return self._goes_on(gave_up, "models", iteration, since_s, self._settings.lockstep_patience_s)
 
     def _goes_on(self, gave_up: set[str], what: str, iteration: int, since_s: float, patience_s: float) -> bool:
-        """Whether to wait longer; in lockstep, where a slow machine must not change the run, up to its own patience."""
+        """Whether to wait on; in lockstep with its own patience, since a slow machine must not change the run."""
         if self._lockstep:
             patience_s = max(patience_s, self._settings.lockstep_patience_s)
         if self._clock() - since_s < patience_s:

@@ -1,6 +1,6 @@
 """The memory store: pairs on disk before they are acknowledged, the memories of each model, the last models.
 
-Owns the service around `memory_file` (what is on disk) and `model_memory` (what a pair does). Never evolves.
+Owns the service around `file` (what is on disk) and `model_memory` (what a pair does). Never evolves.
 A pair enters the memory of every model whose inputs and outputs it holds (paper, section 3: without a
 teacher the communication model's memory stands still). After a restart everything is as it was acknowledged.
 """
@@ -11,6 +11,7 @@ import sqlite3
 import time
 from collections.abc import Callable
 from itertools import chain, count
+from typing import NamedTuple
 
 import numpy as np
 import structlog
@@ -34,6 +35,13 @@ RETRY_S = 1.0
 """How often a disk that takes nothing is tried again."""
 
 
+class _Waiting(NamedTuple):
+    """A pair that waits for its models or for the disk, and since when."""
+
+    pair: messages.Pair
+    since_s: float
+
+
 class MemoryStore:
     """See the module's docstring."""
 
@@ -51,11 +59,10 @@ class MemoryStore:
         self._kept: dict[str, messages.CurrentModel] = {}
         self._duplicates = 0
         self._elsewhere = Elsewhere()
-        self._waiting: messages.Pair | None = None
+        self._waiting: _Waiting | None = None
         self._retry_s = 0.0
         """When to write again after the disk took nothing; 0 while it does."""
         self._unwritten = 0
-        self._waiting_since_s = 0.0
         self._gave_up = 0
         self._restore()
         if pairs := file.count():
@@ -81,12 +88,13 @@ class MemoryStore:
                 publisher.put(change)
 
     def _restore(self) -> None:
-        """Make the memories as they are on disk."""
+        """Make the memories as they are on disk; models stay that came and are not there yet."""
+        newest = list(self._kept.values())
         self._memories = {section.name: ModelMemory(self._config, section) for section in self._config.model}
         try:
             for memory in self._memories.values():
                 memory.restore(self._file)
-            for model in self._file.models().values():
+            for model in (*self._file.models().values(), *newest):
                 self._remember(model)
             self._recalled_ids = count(self._file.lowest_recalled() - 1, -1)
         except (sqlite3.Error, DecodeError, ValueError) as error:
@@ -111,13 +119,13 @@ class MemoryStore:
             for checkpoint in inbox.some():
                 moved = True
                 self._written(lambda checkpoint=checkpoint: self._keep(checkpoint))  # type: ignore[misc]
-        for pair in chain([] if self._waiting is None else [self._waiting], self._pairs.some()):
+        for pair in chain([] if self._waiting is None else [self._waiting.pair], self._pairs.some()):
             if not self._could_be(pair):
                 continue
             if not self._is_due(pair):
                 break
             if not self._written(lambda pair=pair: self._store(pair)):  # type: ignore[misc]
-                self._waiting = pair
+                self._waiting = _Waiting(pair, self._clock())
                 break
             self._waiting = None
             moved = True
@@ -194,8 +202,8 @@ class MemoryStore:
         if self._has_models_of(pair):
             return True
         if self._waiting is None:
-            self._waiting, self._waiting_since_s = pair, self._clock()
-        if self._clock() - self._waiting_since_s < self._patience_s:
+            self._waiting = _Waiting(pair, self._clock())
+        if self._clock() - self._waiting.since_s < self._patience_s:
             return False
         self._gave_up += 1
         log.warning("waited in vain for the models of a pair", iteration=pair.iteration, patience_s=self._patience_s)

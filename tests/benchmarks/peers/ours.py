@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from mdb_services.experiment.brain import brain_config
 from mdb_services.experiment.reading import read_file
-from mdb_services.mechanism.evolution.kernel import in_blocks, population_errors
+from mdb_services.mechanism.evolution.genomes import in_blocks
+from mdb_services.mechanism.evolution.kernel import population_errors
 from mdb_services.mechanism.learners.pbga import PromoterGA
 from mdb_services.mechanism.networks.network import Shape
 from mdb_services.mechanism.settings import EvolutionConfig

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.evolution.kernel import in_blocks, population_errors
+from mdb_services.mechanism.evolution.kernel import BLOCK, LINE, population_errors
 from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
 
 
@@ -52,3 +52,16 @@ class Measure:
         errors, squares = np.empty(len(rows)), np.empty(len(rows))
         population_errors(rows, promoters, self._sizes, *self._data, errors, squares)
         return errors + penalty * squares
+
+
+def in_blocks(rows: NDArray[Any]) -> Floats:
+    """Return rows (n, columns) as float32 (blocks, columns, BLOCK), the last block filled up with zeros."""
+    count, columns = rows.shape
+    blocks = -(-count // BLOCK)
+    memory = np.zeros(blocks * columns * BLOCK * 4 + LINE, dtype=np.uint8)
+    start = -memory.ctypes.data % LINE
+    filled = memory[start:][: memory.size - LINE].view(np.float32).reshape(blocks, columns, BLOCK)
+    for block in range(blocks):
+        part = rows[block * BLOCK : (block + 1) * BLOCK]
+        filled[block, :, : len(part)] = part.T
+    return filled

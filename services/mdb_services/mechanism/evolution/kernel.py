@@ -1,12 +1,11 @@
 """Errors of a whole population over the short-term memory, compiled.
 
 Genomes are flat float32 rows, laid out as `networks.network.split_layers` views them; promoters are one byte a hidden
-unit. The pairs come transposed in blocks (`in_blocks`), so that a vector register holds one column of several
+unit. The pairs come transposed in blocks (`genomes.in_blocks`), so that a vector register holds one column of several
 pairs. A unit that is not expressed costs nothing.
 
-The inner loops are written as LLVM instructions, since what makes them fast cannot be said in Python: the sums of
-several units for several vectors of pairs stay in registers from the bias to the tanh, so that each number loaded
-is used more than once, and vectors are as wide as the processor has them.
+The inner loops are written as LLVM instructions, since Python cannot say what makes them fast: the sums of several
+units for several vectors of pairs stay in registers from bias to tanh, and vectors are as wide as the processor has.
 
 One thread, without Python's lock. A genome's error depends on no other genome, so callers may share the rows of a
 population among threads; the same machine gives the same bits each time.
@@ -16,38 +15,18 @@ population among threads; the same machine gives the same bits each time.
 # mypy: allow-untyped-calls
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.core.codegen import get_host_cpu_features
 from numba.core.errors import TypingError
-from numba.extending import intrinsic
-from numpy.typing import NDArray
 
-from mdb_services.mechanism.networks.network import Floats, split_layers
-
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
-# Sums may be reordered into vectors and fused; infinities and NaN keep their meaning.
-_FAST = {"contract", "reassoc", "nsz", "arcp"}
-
-
-def compiled(function: _Function) -> _Function:
-    """Compile at the first call and keep the result on disk; arrays are not checked for their bounds.
-
-    A check for division by zero would keep loops from becoming vector instructions, hence numpy's error model; so do
-    indices that might be negative, hence uint64 in short loops. Each view of an array, and each call that passes a
-    tuple of arrays, costs locked instructions to count references: inner loops take whole arrays and indices.
-    The disk keeps code under a function's own file and the types of its arguments only. So what calls functions of
-    this file from another takes `VERSION` as the default of an argument: the value is part of that argument's type.
-    """
-    return cast(_Function, njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")(function))
-
+from mdb_services.mechanism.evolution.compiling import compiled, emitted
 
 VERSION = zlib.crc32(Path(__file__).read_bytes())
 """Changes with this file."""
@@ -73,7 +52,8 @@ _LIMIT = 7.9
 _P = (-6.1403305e-09, 7.1508625e-06, 2.6935479e-03, 1.2708731e-01, 9.9999917e-01)
 _Q = (1.9645708e-04, 2.2836069e-02, 4.6041757e-01, 1.0)
 
-_LINE = 64  # bytes of a cache line: a vector that lies across two is read twice
+LINE = 64
+"""Bytes of a cache line: a vector that lies across two is read twice."""
 _FUSED = ("contract",)
 _FLOAT, _INDEX, _WORD = ir.FloatType(), ir.IntType(32), ir.IntType(64)
 _VECTOR = ir.VectorType(_FLOAT, LANES)
@@ -91,19 +71,6 @@ class _Plan(NamedTuple):
     columns: Any
     firsts: Any
     ends: Any
-
-
-def in_blocks(rows: NDArray[Any]) -> Floats:
-    """Return rows (n, columns) as float32 (blocks, columns, BLOCK), the last block filled up with zeros."""
-    count, columns = rows.shape
-    blocks = -(-count // BLOCK)
-    memory = np.zeros(blocks * columns * BLOCK * 4 + _LINE, dtype=np.uint8)
-    start = -memory.ctypes.data % _LINE
-    filled = memory[start:][: memory.size - _LINE].view(np.float32).reshape(blocks, columns, BLOCK)
-    for block in range(blocks):
-        part = rows[block * BLOCK : (block + 1) * BLOCK]
-        filled[block, :, : len(part)] = part.T
-    return filled
 
 
 # ---- LLVM instructions: these functions run when the kernel is compiled, and emit it ----
@@ -248,11 +215,6 @@ def _emit_sending(
 
 
 # ---- what compiled Python calls of it ----
-
-
-def emitted(generator: Callable[..., Any]) -> Any:
-    """Make a function that compiled Python calls, of one that returns its signature and what emits it."""
-    return intrinsic(generator)
 
 
 def _array(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, list[Any]]:
@@ -409,7 +371,7 @@ def population_errors(
     """Write each genome's mean squared error over the pairs, and the sum of its squared weights that count.
 
     weights (population, weights) float32; promoters (population, hidden units) uint8; sizes (layers,) int64;
-    inputs (blocks, inputs, BLOCK) and targets (blocks, outputs, BLOCK) float32 from `in_blocks`; pairs is the
+    inputs (blocks, inputs, BLOCK) and targets (blocks, outputs, BLOCK) float32 from `genomes.in_blocks`; pairs is the
     number of true pairs, at least one; errors and squares (population,) float64. Squares of size 0 are not
     written, which saves their time. Raises TypingError when weights, inputs or targets are not contiguous float32.
     """
@@ -417,8 +379,8 @@ def population_errors(
     rows, firsts, ends = np.empty(slots, np.int64), np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
     firsts[1:], ends[0] = np.cumsum(sizes[:-1]), sizes[0]
     plan, first_output = _Plan(rows, np.arange(slots), firsts, ends), firsts[last]
-    memory = np.empty(blocks * slots * BLOCK + _LINE // 4, np.float32)
-    start = -(memory.ctypes.data // 4) % (_LINE // 4)
+    memory = np.empty(blocks * slots * BLOCK + LINE // 4, np.float32)
+    start = -(memory.ctypes.data // 4) % (LINE // 4)
     work = memory[start : start + blocks * slots * BLOCK].reshape(blocks, slots, BLOCK)
     genomes = weights.reshape(-1)
     for i in range(weights.shape[0]):
@@ -436,23 +398,3 @@ def population_errors(
         errors[i] = total / (pairs * outputs)
         if i < squares.size:
             squares[i] = _squared_weights(genomes, plan)
-
-
-def reference_errors(
-    weights: Floats, promoters: NDArray[np.uint8], sizes: Sequence[int], inputs: Floats, targets: Floats
-) -> NDArray[np.float64]:
-    """Return what `population_errors` must give, by batched numpy in double precision: the tests' oracle.
-
-    inputs (n, inputs) and targets (n, outputs) are rows, neither transposed nor padded.
-    """
-    errors = np.empty(len(weights))
-    for individual, genome in enumerate(weights.astype(np.float64)):
-        rows, gene = inputs.astype(np.float64), 0
-        *hidden, last = split_layers(sizes, genome)
-        for layer in hidden:
-            mask = promoters[individual, gene : gene + len(layer)]
-            rows = np.tanh(rows @ layer[:, :-1].T + layer[:, -1]) * mask
-            gene += len(layer)
-        outputs = rows @ last[:, :-1].T + last[:, -1]
-        errors[individual] = np.mean((outputs - targets) ** 2)
-    return errors

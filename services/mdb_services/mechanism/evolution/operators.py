@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mdb_services.mechanism.evolution.kernel import VERSION, compiled, population_errors
+from mdb_services.mechanism.evolution.compiling import compiled
+from mdb_services.mechanism.evolution.kernel import VERSION, population_errors
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)

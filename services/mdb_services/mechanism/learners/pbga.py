@@ -10,8 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.evolution.genomes import embed
-from mdb_services.mechanism.evolution.kernel import in_blocks
+from mdb_services.mechanism.evolution.genomes import embed, in_blocks
 from mdb_services.mechanism.evolution.operators import Settings, evolve
 from mdb_services.mechanism.learners.contract import Arrays, Learner
 from mdb_services.mechanism.networks import streams
