@@ -39,7 +39,7 @@ LOGGED_REFUSALS = 3
 LOG_EVERY_S = 60.0
 LOGGED_LETTERS = 300
 MARGIN_BYTES = 1024
-"""Of what a reader takes at most, so much is left for key and encoding."""
+"""Kept free for key and encoding, of the most that a reader takes at once."""
 TAPPED = "**"
 """Stands for all keys of a brain in counts of what a tap dropped."""
 

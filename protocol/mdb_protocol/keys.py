@@ -142,7 +142,7 @@ MEMORY_CHANGE = Key(
     "memory store",
     Delivery.RELIABLE,
     "one step of a model's short-term memory: an insert, or the beginning of a context",
-    late_joiner="asks memory/{model}/snapshot",
+    late_joiner="an evolver asks memory/{model}/resume, others memory/{model}/snapshot",
     most_bytes=MAX_BYTES,
 )
 MEMORY_SNAPSHOT = Key(

@@ -600,8 +600,8 @@ READS = config().reads(config().model[0])
         ({"reads": {}}, "reads other variables"),
         ({"pairs": []}, "reads other variables"),
         ({"pairs": [msgspec.structs.replace(pair(0, "A"), note=5)]}, "reads other variables"),
-        ({"layers": [2, 0, 1], "weights": np.zeros(1)}, r"has layers \[2, 0, 1\]"),
-        ({"layers": [3, 0, 2], "weights": np.zeros(2)}, r"has layers \[3, 0, 2\]"),
+        ({"layers": [2, 0, 1], "weights": np.zeros(1)}, r"layers \[2, 0, 1\]"),
+        ({"layers": [3, 0, 2], "weights": np.zeros(2)}, r"layers \[3, 0, 2\]"),
         ({"layers": [3, 1], "weights": np.zeros(4)}, "layer sizes"),
     ],
 )

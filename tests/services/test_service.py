@@ -112,9 +112,10 @@ def test_sigterm_stops_a_service() -> None:
 
 
 def test_a_service_whose_parent_is_gone_stops(monkeypatch: pytest.MonkeyPatch) -> None:
-    stop = Stopper(os.getppid())
+    parent = os.getppid()
+    stop = Stopper(parent)
     assert not stop()
-    monkeypatch.setattr(os, "getppid", lambda: 1)
+    monkeypatch.setattr(os, "getppid", lambda: parent + 1)
     assert stop()
     assert Stopper(os.getpid() + 1)(), "it was gone before the service had asked"
     assert not Stopper()()

@@ -39,6 +39,7 @@ from mdb_protocol.errors import ConfigError
 from mdb_protocol.keys import NAME
 from mdb_protocol.roles import Role, User
 from mdb_protocol.zenoh_bus import RouterKeys
+from mdb_services.shell.whole_file import write_whole
 
 AUTHORITY_DAYS = 3650
 CERTIFICATE_DAYS = 365
@@ -71,11 +72,11 @@ class KeyFolder:
         made = path.parent / f"{path.name}.{secrets.token_hex(4)}.part"
         made.mkdir(mode=0o700)
         try:
-            _write(made / ".gitignore", b"*\n")
+            write_whole(made / ".gitignore", b"*\n", power_safe=True, private=True)
             key, authority = _authority()
-            _write(made / PRIVATE_PEM, _private(key))
-            _write(made / PUBLIC_PEM, _public(authority))
-            _write(made / access.ACCESS_FILE, access.text({}).encode())
+            write_whole(made / PRIVATE_PEM, _private(key), power_safe=True, private=True)
+            write_whole(made / PUBLIC_PEM, _public(authority), power_safe=True, private=True)
+            write_whole(made / access.ACCESS_FILE, access.text({}).encode(), power_safe=True, private=True)
             folder = cls(made)
             folder.renew(hosts)
             folder.add(Role.BRAIN, brain, brain)
@@ -191,10 +192,15 @@ class KeyFolder:
         certificate = builder.sign(authority_key, hashes.SHA256())
         path.parent.mkdir(mode=0o700, exist_ok=True)
         plain = says | {"until": until.isoformat(timespec="seconds")}
-        _write(path, bundle.write(holder, plain, _private(key), _public(certificate), _public(authority)))
+        write_whole(
+            path,
+            bundle.write(holder, plain, _private(key), _public(certificate), _public(authority)),
+            power_safe=True,
+            private=True,
+        )
 
     def _admit(self, users: dict[str, User]) -> None:
-        _write(self.path / access.ACCESS_FILE, access.text(users).encode())
+        write_whole(self.path / access.ACCESS_FILE, access.text(users).encode(), power_safe=True, private=True)
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
@@ -303,17 +309,3 @@ def _private(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 def _public(certificate: x509.Certificate) -> bytes:
     return certificate.public_bytes(Encoding.PEM)
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a file for its owner only, whole or not at all."""
-    partial = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise

@@ -20,6 +20,7 @@ from mdb_protocol.errors import BusError, ConfigError, DamageError
 from mdb_protocol.zenoh_bus import Router, RouterKeys, ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.shell.service import Service, Stopper, run
+from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
 
 log = structlog.get_logger()
@@ -103,9 +104,7 @@ def _changes(folder: Path | None) -> Callable[[], bool]:
 def _say_where(run_folder: Path | None, endpoint: str) -> None:
     if run_folder is not None:
         run_folder.mkdir(parents=True, exist_ok=True)
-        partial = run_folder / f"{ENDPOINT_FILE}.part"
-        partial.write_text(endpoint, encoding="utf-8")
-        partial.replace(run_folder / ENDPOINT_FILE)
+        write_whole(run_folder / ENDPOINT_FILE, endpoint.encode())
 
 
 @dataclass(frozen=True)

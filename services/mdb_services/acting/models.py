@@ -40,10 +40,8 @@ class CurrentModels:
         codebook = self.codebooks.get(model.model)
         if codebook is None:
             return f"no model {model.model!r} in this experiment"
-        if (model.layers[0], model.layers[-1]) != (codebook.width, len(codebook.outputs)):
-            return (
-                f"model {model.model} has layers {model.layers}, not {codebook.width} in, {len(codebook.outputs)} out"
-            )
+        if (misfit := codebook.misfit(model.layers)) is not None:
+            return f"model {model.model}: {misfit}"
         try:
             network = Network.from_arrays(model.layers, model.weights)
         except ValueError as error:

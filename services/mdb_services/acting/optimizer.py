@@ -42,7 +42,7 @@ QUERY_S = 2.0
 """Bound on asking the memory store; without an answer the next step asks again."""
 ENDING_S = 5.0
 """Bound on waiting for the last acknowledgements before the experiment is called finished."""
-NEVER = -1
+NOT_TRIED = -1
 """In place of an iteration, for an action that was not tried yet."""
 
 
@@ -76,7 +76,7 @@ class Optimizer:
         self._teachers = Teachers(config.optimizer.word, config.optimizer.feedback_window)
         self._verdicts = Verdicts(config, self._teachers)
         self._tried: defaultdict[int | None, NDArray[np.int64]] = defaultdict(
-            lambda: np.full(config.optimizer.actions, NEVER)
+            lambda: np.full(config.optimizer.actions, NOT_TRIED)
         )
         self._perceptions = bus.subscriber(keys.PERCEPTION)
         self._actions = bus.publisher(keys.ACTION)

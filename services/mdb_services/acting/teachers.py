@@ -111,7 +111,8 @@ class Teachers:
     def verdict(self, iteration: int, teacher: str | None) -> Verdict:
         """Return the feedback for an iteration in which `teacher` commanded (None: nobody).
 
-        Where only one holds the word, only he who commanded judges; what the robot did of itself, the first does.
+        Where only one holds the word, only he who commanded judges. What the robot did by itself is judged by the
+        first who says anything.
         """
         said = {who: v for who, v in self._feedback.get(iteration, {}).items() if v is not None}
         if self._first_only:

@@ -98,8 +98,8 @@ class ModelMemory:
             raise ValueError(f"model {model.model} {model.id} of the long-term memory reads other variables")
         inputs, targets = (np.concatenate(parts) for parts in zip(*known, strict=True))
         network = _network(model)
-        if (network.sizes[0], network.sizes[-1]) != (inputs.shape[1], targets.shape[1]):
-            raise ValueError(f"model {model.model} {model.id} of the long-term memory has layers {model.layers}")
+        if (misfit := self.codebook.misfit(network.sizes)) is not None:
+            raise ValueError(f"model {model.model} {model.id} of the long-term memory: {misfit}")
         self._ltm.restore(Stored(model.id, network, inputs, targets, model.uses, model.touched))
         self._details[model.id] = model
 

@@ -233,8 +233,8 @@ class MemoryStore:
         except ValueError as error:
             self.bus.refusals.add(keys.CURRENT_MODEL.path, str(error))
             return False
-        if (network.sizes[0], network.sizes[-1]) != (memory.codebook.width, len(memory.codebook.outputs)):
-            self.bus.refusals.add(keys.CURRENT_MODEL.path, f"model {model.model} has layers {model.layers}")
+        if (misfit := memory.codebook.misfit(network.sizes)) is not None:
+            self.bus.refusals.add(keys.CURRENT_MODEL.path, f"model {model.model}: {misfit}")
             return False
         memory.take(network, model.version)
         self._kept[model.model] = model

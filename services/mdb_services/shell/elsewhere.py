@@ -1,7 +1,8 @@
 """Whose count of iterations is right when robot and optimizer disagree by more than one step.
 
-Owns the rule: a single word is not believed, for it may be junk or of somebody who should be silent; what is said
-again and again, and nothing nearer in between, is. Pure: the owner hands in what it hears and the time.
+Owns the rule. A single message is not believed: it may be junk, or from somebody who should be silent. A count is
+believed once it was said again and again, without a nearer one in between. Pure: the owner hands in what it hears,
+and the time.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import numpy as np
 from mdb_sim.figures.drawings import KINDS
 from mdb_sim.figures.four_to_six import BLUE, GREEN, INK, MUTED, ORANGE, band, note, save, shade
 from mdb_sim.runs import measures
-from mdb_sim.runs.record import Floats
+from mdb_sim.runs.record import Doubles
 from mdb_sim.studies.rows import Curve, PhaseRow
 from mdb_sim.verdicts.acceptance import ALONE_WORST
 from mdb_sim.verdicts.quantities import Runs, phases_of
@@ -29,7 +29,7 @@ VARIANT_COLOURS = (BLUE, ORANGE, GREEN, MUTED)
 SIDE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8A4F7D")
 ERROR_TOP = 1.2
 """An error axis ends here at the latest."""
-ERRORS: tuple[tuple[str, Callable[[PhaseRow], Floats]], ...] = (
+ERRORS: tuple[tuple[str, Callable[[PhaseRow], Doubles]], ...] = (
     (
         f"Prequential: each pair foreseen before it was learnt (mean of {measures.AVERAGED})",
         lambda row: measures.mean_of_last(row.prequential_curve.astype(np.float64), measures.AVERAGED),
@@ -64,7 +64,7 @@ def _fill_errors(runs: Runs, figure: Figure) -> None:
     _legend(figure, panels[0])
 
 
-def _draw_bands(axes: Axes, runs: Runs, measure: Callable[[PhaseRow], Floats]) -> list[float]:
+def _draw_bands(axes: Axes, runs: Runs, measure: Callable[[PhaseRow], Doubles]) -> list[float]:
     """Draw every taught phase by itself, so that no line crosses the phases between; return the highest values."""
     highest: list[float] = []
     for (variant, seeds), colour in zip(runs.items(), VARIANT_COLOURS, strict=False):
@@ -112,7 +112,7 @@ def _fill_captures(runs: Runs, figure: Figure) -> None:
     _legend(figure, axes)
 
 
-def captured(rows: Sequence[PhaseRow]) -> Floats:
+def captured(rows: Sequence[PhaseRow]) -> Doubles:
     """Return the captures of a run after 0 to n iterations (n + 1,)."""
     return np.concatenate([[0.0], np.cumsum(np.concatenate([row.captured for row in rows]), dtype=np.float64)])
 

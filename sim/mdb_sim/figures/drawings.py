@@ -16,7 +16,7 @@ import numpy as np
 
 from mdb_sim.figures.four_to_six import BLUE, GREEN, INK, MUTED, ORANGE, band, note, save
 from mdb_sim.runs import measures
-from mdb_sim.runs.record import Floats
+from mdb_sim.runs.record import Doubles
 from mdb_sim.verdicts.comings import ComingsRow
 from mdb_sim.verdicts.quantities import Quantity
 from mdb_sim.verdicts.statistics import FEWEST, percent, seeds_text
@@ -110,7 +110,7 @@ def _draw_quantity(axes: Axes, quantity: Quantity) -> None:
         note(axes, "no data in these logs")
 
 
-def _spread(places: Floats) -> Floats:
+def _spread(places: Doubles) -> Doubles:
     """Return small heights that keep dots at the same place apart."""
     heights = np.zeros(len(places))
     for value in np.unique(places):

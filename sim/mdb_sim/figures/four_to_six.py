@@ -15,7 +15,7 @@ import numpy as np
 
 from mdb_protocol.errors import MdbError
 from mdb_sim.runs import measures
-from mdb_sim.runs.record import Floats, RunRecord, read_record
+from mdb_sim.runs.record import Doubles, RunRecord, read_record
 from mdb_sim.runs.trajectories import draw_trajectories
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def save(
     return paths
 
 
-ERRORS: tuple[tuple[str, Callable[[RunRecord], Floats]], ...] = (
+ERRORS: tuple[tuple[str, Callable[[RunRecord], Doubles]], ...] = (
     (
         f"Prequential: each pair foreseen before it was learnt (mean of {measures.AVERAGED})",
         lambda record: measures.running_mean(record, measures.prequential_error(record)),
@@ -150,13 +150,13 @@ def _error_panels(record: RunRecord, figure: Figure) -> list[Axes]:
     return panels
 
 
-def _scale(axes: Axes, *curves: Floats) -> None:
+def _scale(axes: Axes, *curves: Doubles) -> None:
     """Let the error axis end a little above the curves."""
     highest = max((float(np.nanmax(curve)) for curve in curves if np.isfinite(curve).any()), default=0.0)
     axes.set_ylim(0, min(max(1.08 * highest, ERROR_TOP[0]), ERROR_TOP[1]))
 
 
-def _pieces(record: RunRecord, values: Floats) -> list[tuple[Floats, Floats]]:
+def _pieces(record: RunRecord, values: Doubles) -> list[tuple[Doubles, Doubles]]:
     """Return the curve (x, y) of each taught phase by itself, so that no line crosses the phases between."""
     pieces = []
     for span in record.taught:
@@ -245,7 +245,7 @@ def _seeds(records: Sequence[RunRecord]) -> str:
     return f"(mean of {len(records)} {noun}s, 95 % confidence band, each {noun} thin)"
 
 
-def band(curves: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
+def band(curves: Sequence[Doubles]) -> tuple[Doubles, Doubles, Doubles]:
     """Return the mean of curves and both ends of its 95 % bootstrap interval: (n,) for the longest curve's n.
 
     Resamples whole curves, always in the same way. nan where any curve is nan or has ended: a mean of fewer

@@ -97,7 +97,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.1",
         "Action-perception pair: sensory inputs and satisfaction after an action in the real world.",
         "faithful",
-        f"`messages.Pair`; `{MECHANISM}/encoding.py`",
+        f"`messages.Pair`; `{MECHANISM}/networks/encoding.py`",
     ),
     Statement(
         "2.2",
@@ -116,7 +116,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.2",
         "Long-term memory: models that were successful and stable, used again directly or as seeds.",
         "adapted",
-        f"`{MECHANISM}/ltm.py`. When a model is stable, and the sample of pairs that comes back with it, are ours "
+        f"`{MECHANISM}/memories/ltm.py`. When a model is stable, and the sample of pairs that comes back with it, are ours "
         "(the paper refers to its reference 13).",
         returns,
     ),
@@ -134,7 +134,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.3",
         "Models are artificial neural networks, the search is evolutionary.",
         "faithful",
-        f"`{MECHANISM}/network.py`, `learners/pbga.py`; other learners by name, see section 4",
+        f"`{MECHANISM}/networks/network.py`, `learners/pbga.py`; other learners by name, see section 4",
     ),
     Statement(
         "2.3",
@@ -152,14 +152,14 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.3",
         "Fitness: the error between predicted and real values of the pairs.",
         "adapted",
-        f"`{MECHANISM}/kernel.py`; every individual anew on every version of the memory, and the penalties on great "
+        f"`{MECHANISM}/evolution/kernel.py`; every individual anew on every version of the memory, and the penalties on great "
         "weights, are ours",
     ),
     Statement(
         "2.3",
         "The short-term memory has a replacement strategy that keeps the most relevant samples.",
         "adapted",
-        f"`{MECHANISM}/stm.py`. The paper refers to its reference 12; the label's terms in detail are ours.",
+        f"`{MECHANISM}/memories/stm.py`. The paper refers to its reference 12; the label's terms in detail are ours.",
     ),
     Statement(
         "2.3",
@@ -267,7 +267,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "Models are multilayer perceptrons evolved by a promoter-based genetic algorithm.",
         "adapted",
-        f"`{MECHANISM}/operators.py`. After its reference 14; the operators in detail are ours.",
+        f"`{MECHANISM}/evolution/operators.py`. After its reference 14; the operators in detail are ours.",
     ),
     Statement(
         "3",
@@ -301,7 +301,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "Figure 4: the second teacher is learnt as fast as the first, in about the time that it takes to empty the "
         "memory of the first one's pairs.",
         "adapted",
-        f"A detector of changes (`{MECHANISM}/context.py`) drops the old pairs at once.",
+        f"A detector of changes (`{MECHANISM}/memories/context.py`) drops the old pairs at once.",
         in_reproduction(relearning),
     ),
     Statement(

@@ -5,13 +5,13 @@ So an action is never done twice: either the file has it, or nobody knows of it 
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import structlog
 
 from mdb_protocol import codec, messages
 from mdb_protocol.errors import DecodeError
+from mdb_services.shell.whole_file import write_whole
 
 log = structlog.get_logger()
 
@@ -38,10 +38,4 @@ class StateFile:
 
     def write(self, state: messages.RobotState) -> None:
         """Replace the state; OSError when the disk does not take it."""
-        partial = self._path.with_suffix(".part")
-        with partial.open("wb") as file:
-            file.write(codec.encode(state))
-            if self._power_safe:
-                file.flush()
-                os.fsync(file.fileno())
-        partial.replace(self._path)
+        write_whole(self._path, codec.encode(state), power_safe=self._power_safe)

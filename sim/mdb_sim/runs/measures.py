@@ -14,7 +14,7 @@ import numpy as np
 
 from mdb_services.mechanism.networks.encoding import Codebook, Facts
 from mdb_services.mechanism.networks.network import Network
-from mdb_sim.runs.record import Floats, RunRecord, Span
+from mdb_sim.runs.record import Doubles, RunRecord, Span
 from mdb_sim.teaching.teacher import FEEDBACKS, FeedbackKind, Language
 
 AVERAGED = 40
@@ -32,7 +32,7 @@ Window = tuple[int, int]
 """Iterations from the first to the second, which is not included."""
 
 
-def prequential_error(record: RunRecord) -> Floats:
+def prequential_error(record: RunRecord) -> Doubles:
     """Return the communication model's error on each pair before it was learnt (iterations,)."""
     nothing = np.full(record.iterations, np.nan)
     if record.communication is None:
@@ -41,7 +41,7 @@ def prequential_error(record: RunRecord) -> Floats:
     return np.where(record.commanded, errors, np.nan)
 
 
-def running_mean(record: RunRecord, values: Floats, *, full: bool = False) -> Floats:
+def running_mean(record: RunRecord, values: Doubles, *, full: bool = False) -> Doubles:
     """Return the mean of the last `AVERAGED` values that are not nan (iterations,), anew in each phase.
 
     `full`: nan until there are that many; otherwise the mean of those that there are.
@@ -53,7 +53,7 @@ def running_mean(record: RunRecord, values: Floats, *, full: bool = False) -> Fl
     return means
 
 
-def mean_of_last(values: Floats, count: int, *, full: bool = False) -> Floats:
+def mean_of_last(values: Doubles, count: int, *, full: bool = False) -> Doubles:
     """Return, where a value is not nan, the mean of the last `count` such values, itself included (n,).
 
     `full`: nan until there are that many; otherwise the mean of those that there are.
@@ -83,7 +83,7 @@ def iterations_below(record: RunRecord, span: Span) -> float:
     return np.inf if record.iterations >= span.stop else np.nan
 
 
-def memory_error(record: RunRecord) -> Floats:
+def memory_error(record: RunRecord) -> Doubles:
     """Return the error over the short-term memory of the communication model in use (iterations,).
 
     What the paper plots in figure 4, we think. Only where a command came: without a teacher the memory stands
@@ -125,7 +125,7 @@ class PairJudge:
         return float(np.square(network.predict(self._inputs) - self._targets).mean())
 
 
-def pair_error(record: RunRecord, every: int = EVERY) -> Floats:
+def pair_error(record: RunRecord, every: int = EVERY) -> Doubles:
     """Return the error of the communication model in use over all command-action pairs (iterations,).
 
     Of the language that is present, every so many iterations and in the last of each phase; elsewhere nan,
@@ -164,7 +164,7 @@ def _network_in_use(record: RunRecord, iteration: int) -> Network | None:
     return None if model is None else Network.from_arrays(model.layers, model.weights)
 
 
-def obeyed(record: RunRecord) -> Floats:
+def obeyed(record: RunRecord) -> Doubles:
     """Return 1 where the action was the commanded one, 0 where it was another, nan without a command.
 
     Where the language is not known, full reward means obedience.
@@ -192,7 +192,7 @@ def obedience_window(span: Span) -> Window:
     return span.stop - round(SETTLED * (span.stop - span.start)), span.stop
 
 
-def recent_obedience(record: RunRecord, span: Span, *, full: bool = False) -> Floats:
+def recent_obedience(record: RunRecord, span: Span, *, full: bool = False) -> Doubles:
     """Return the share obeyed of a phase's last `RECENT` commands: (n,) for its iterations in the log.
 
     nan where no command came. `full`: nan until there are that many; otherwise the share of those that there are.

@@ -34,7 +34,7 @@ from mdb_sim.teaching.teacher import Language
 ABSENT = -1
 """Stands in `note` for silence, and in `action` for an iteration whose report is not in the log."""
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
@@ -80,15 +80,15 @@ class RunRecord:
     reported: Flags
     action: Ints
     note: Ints
-    feedback: Floats
+    feedback: Doubles
     explored: Flags
     mode: NDArray[np.str_]
     event: NDArray[np.str_]
     captures: Ints
-    prequential: dict[str, Floats]
+    prequential: dict[str, Doubles]
     versions: dict[str, Ints]
-    perception_to_action_s: Floats
-    cycle_s: Floats
+    perception_to_action_s: Doubles
+    cycle_s: Doubles
     models: dict[tuple[str, int], CurrentModel]
     """Current models by name and memory version."""
     scenes: dict[int, Scene]

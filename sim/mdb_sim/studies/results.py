@@ -8,7 +8,6 @@ which code it is of, so that a sweep can be gone on with.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mdb_protocol.errors import MdbError
+from mdb_services.shell.whole_file import write_whole
 from mdb_sim.studies.rows import CURVES, PhaseRow
 
 if TYPE_CHECKING:
@@ -112,9 +112,7 @@ def write(folder: Path, data: bytes, label: Label) -> Path:
     """Write a run's file, whole or not at all."""
     path = folder / label.path
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_bytes(data)
-    temporary.replace(path)
+    write_whole(path, data)
     return path
 
 

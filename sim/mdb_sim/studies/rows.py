@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_sim.runs import measures
-from mdb_sim.runs.record import Episode, Floats, RunRecord, Span
+from mdb_sim.runs.record import Doubles, Episode, RunRecord, Span
 from mdb_sim.runs.trajectories import typical
 from mdb_sim.studies.ideal import ideal_captures
 
@@ -96,7 +96,7 @@ def rows_of(record: RunRecord) -> list[PhaseRow]:
 
 
 def _row(
-    record: RunRecord, place: int, span: Span, curves: Mapping[str, Floats], episodes: list[Episode]
+    record: RunRecord, place: int, span: Span, curves: Mapping[str, Doubles], episodes: list[Episode]
 ) -> PhaseRow:
     phase = slice(span.start, min(span.stop, record.iterations))
     window = measures.capture_window(record, span)
@@ -144,7 +144,7 @@ def _obedience(record: RunRecord, span: Span, phase: slice) -> dict[str, Any]:
     }
 
 
-def _learning(record: RunRecord, span: Span, curves: Mapping[str, Floats]) -> dict[str, Any]:
+def _learning(record: RunRecord, span: Span, curves: Mapping[str, Doubles]) -> dict[str, Any]:
     nothing = {"iterations_to_error": math.nan, "prequential": math.nan, "pair_error": math.nan}
     if span.teacher is None or record.iterations < span.stop:
         return nothing

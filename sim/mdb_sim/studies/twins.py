@@ -1,7 +1,7 @@
 """How far two bodies agree: motion, sonar, perception and the bounds of what any policy can capture.
 
 Owns: `compare_bodies`, which `mdb compare-bodies` shows, and `captures_per_100`. Sees the simulators' truth,
-as only a measurement may. Prints nothing: `Comparison.table` is text for the caller.
+as only a measurement may. Prints nothing: `SideBySide.table` is text for the caller.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Spread:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class SideBySide:
     """What `compare_bodies` measured; the quantities' names carry body and unit."""
 
     bodies: tuple[str, str]
@@ -89,7 +89,7 @@ def compare_bodies(
     iterations: int = 300,
     bound_iterations: int = 1000,
     seed: int = 1,
-) -> Comparison:
+) -> SideBySide:
     """Run two bodies side by side and measure each against the command, the truth and the other.
 
     The first body runs freely, half its actions random and half the teacher's; before each the second is put
@@ -104,7 +104,7 @@ def compare_bodies(
         figures = samples.shares()
         if bound_iterations:
             figures |= _bounds((one, two), (first, second), bound_iterations, seed)
-    return Comparison((first, second), iterations, samples.spreads(), figures)
+    return SideBySide((first, second), iterations, samples.spreads(), figures)
 
 
 def captures_per_100(robot: Robot, policy: Policy, iterations: int, seed: int) -> float:

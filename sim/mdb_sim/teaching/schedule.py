@@ -17,7 +17,7 @@ from mdb_sim.body import Placement, RobotConfig
 from mdb_sim.teaching.sound import SoundSection
 from mdb_sim.teaching.teacher import FEEDBACKS, FeedbackKind, Language, TeacherError, make_language, wanted_action
 
-RANDOM = "random"
+DRAWN = "random"
 """A language drawn from the run's seed, unlike those of the other teachers."""
 DRAWS = 1000
 """Languages drawn until one is unlike the others; for seven actions the second draw nearly always is."""
@@ -168,7 +168,7 @@ def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Sched
 
 
 def _language(name: str, teacher: str, seed: int, world: RobotConfig, taken: list[tuple[int, ...]]) -> Language:
-    if name != RANDOM:
+    if name != DRAWN:
         return make_language(name, world.turns_deg)
     for counter in range(DRAWS):
         key = streams.key(seed, f"language/{teacher}/{counter}")

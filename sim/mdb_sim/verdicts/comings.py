@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mdb_sim.runs import measures
-from mdb_sim.runs.record import Floats
+from mdb_sim.runs.record import Doubles
 from mdb_sim.studies.rows import PhaseRow
 from mdb_sim.verdicts.quantities import Quantity, Runs, quantity_table
 from mdb_sim.verdicts.statistics import Shape, markdown, number, ratio, text
@@ -30,7 +30,7 @@ class Coming:
     """Until obedience: `measures.iterations_to_obedience`."""
     disobeyed: float
     """Of its first commands: `measures.disobeyed_at_first`."""
-    recent: Floats
+    recent: Doubles
     """Share obeyed of the last commands, or of those that there were, by the coming's iterations (n,)."""
 
 
@@ -65,7 +65,7 @@ def comings_of(runs: Runs) -> dict[str, list[ComingsRow]]:
 
 
 def ratio_of(value: float, first: float) -> float:
-    """Return value over first; nan where the first never came to it, for anything is less than never, or was 0."""
+    """Return value over first; nan where the first was 0, or never came to it."""
     return value / first if 0 < first < math.inf else math.nan
 
 
@@ -75,7 +75,7 @@ def own_firsts(teachers: Sequence[str]) -> dict[int, int]:
 
 
 @dataclass(frozen=True)
-class Criterion:
+class Returns:
     """Whether every return took at most a tenth, seed by seed."""
 
     ratios: Mapping[int, float]
@@ -93,7 +93,7 @@ class Criterion:
         return self.ratios[seed], seed
 
 
-def criterion(rows: Sequence[ComingsRow], *, own: bool, window: bool = True) -> Criterion:
+def criterion(rows: Sequence[ComingsRow], *, own: bool, window: bool = True) -> Returns:
     """Judge the returns by the very first coming, or (`own`) by the first coming of the same teacher.
 
     Without `window` a coming counts only until the window in which it is obeyed begins, not until it is full.
@@ -110,7 +110,7 @@ def criterion(rows: Sequence[ComingsRow], *, own: bool, window: bool = True) -> 
             for i, first in firsts.items()
         ]
         ratios[row.seed] = float(np.max(found)) if found else math.nan  # np.max: nan if any is
-    return Criterion(ratios)
+    return Returns(ratios)
 
 
 def comings_quantities(results: Mapping[str, Sequence[ComingsRow]]) -> dict[str, list[Quantity]]:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from mdb_sim.runs.record import Floats
+from mdb_sim.runs.record import Doubles
 
 Statistic = Literal["mean", "median"]
 Shape = Callable[[float], str]
@@ -40,7 +40,7 @@ class Estimate:
         return self.low > 0 or self.high < 0
 
 
-def estimate(values: Sequence[float] | Floats, statistic: Statistic) -> Estimate:
+def estimate(values: Sequence[float] | Doubles, statistic: Statistic) -> Estimate:
     """Return the statistic of one value a seed with its percentile bootstrap interval.
 
     One seed has no interval. A nan among the values makes all of it nan, an inf makes the mean inf; the median
@@ -59,7 +59,7 @@ def estimate(values: Sequence[float] | Floats, statistic: Statistic) -> Estimate
     return Estimate(value, float(low), float(high))
 
 
-def _each(statistic: Statistic, samples: Floats) -> Floats:
+def _each(statistic: Statistic, samples: Doubles) -> Doubles:
     """Return the statistic of each row of samples (n, seeds): (n,)."""
     with np.errstate(invalid="ignore"):
         if statistic == "mean":

@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+from mdb_services.mechanism.networks.network import Floats
+
 Facts = dict[str, NDArray[np.float64]]
 """Variable name to its values, shape (n,): one a case."""
 
@@ -143,6 +144,12 @@ class Codebook:
     def width(self) -> int:
         """Columns of an input row."""
         return sum(self._channels[name].width for name in self.inputs)
+
+    def misfit(self, sizes: Sequence[int]) -> str | None:
+        """Return why a network of these layers does not fit these rows; None when it does."""
+        if (sizes[0], sizes[-1]) == (self.width, len(self.outputs)):
+            return None
+        return f"layers {list(sizes)}; expected {self.width} numbers in and {len(self.outputs)} out"
 
     def input_rows(self, facts: Facts) -> Floats | None:
         """Return (n, width), or None when a variable is not among the facts or is no value of its channel."""
