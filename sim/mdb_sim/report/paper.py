@@ -116,8 +116,8 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.2",
         "Long-term memory: models that were successful and stable, used again directly or as seeds.",
         "adapted",
-        f"`{MECHANISM}/memories/ltm.py`. When a model is stable, and the sample of pairs that comes back with it, are ours "
-        "(the paper refers to its reference 13).",
+        f"`{MECHANISM}/memories/ltm.py`. When a model is stable, and the sample of pairs that comes back with it, "
+        "are ours (the paper refers to its reference 13).",
         returns,
     ),
     Statement(
@@ -152,8 +152,8 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.3",
         "Fitness: the error between predicted and real values of the pairs.",
         "adapted",
-        f"`{MECHANISM}/evolution/kernel.py`; every individual anew on every version of the memory, and the penalties on great "
-        "weights, are ours",
+        f"`{MECHANISM}/evolution/kernel.py`; every individual anew on every version of the memory, "
+        "and the penalties on great weights, are ours",
     ),
     Statement(
         "2.3",
@@ -205,13 +205,13 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "The robot begins in the centre, the object in an area around it.",
         "faithful",
-        f"`draw_placement` in `{SIM}/arena.py`; the distances are ours",
+        f"`draw_placement` in `{SIM}/bodies/pioneer/arena.py`; the distances are ours",
     ),
     Statement(
         "3",
         "The teacher, external to the MDB, makes the robot reach the object frontally.",
         "faithful",
-        f"`{SIM}/teacher.py`; what “frontally” means is ours: within 20°",
+        f"`{SIM}/teaching/teacher.py`; what “frontally” means is ours: within 20°",
     ),
     Statement(
         "3",
@@ -236,7 +236,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "The teacher rewards or punishes by the degree of fulfilment, by a number from a keyboard.",
         "faithful",
-        f"`graded` in `{SIM}/teacher.py`; `mdb teach` has the keyboard. The steps of the degree are ours.",
+        f"`graded` in `{SIM}/teaching/teacher.py`; `mdb teach` has the keyboard. The steps of the degree are ours.",
     ),
     Statement(
         "3",
