@@ -1,0 +1,1 @@
+"""Runs of before: replayed, rescued, and what their long-term memory holds."""
