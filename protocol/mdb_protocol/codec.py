@@ -17,8 +17,8 @@ from mdb_protocol.messages import Message
 
 M = TypeVar("M", bound=Message)
 
-VERSION = 1
-"""Protocol version; a reader refuses any other."""
+VERSION = 2
+"""Protocol version. A reader takes `2` and any `2.x`, whose messages may have more fields, and refuses all others."""
 MAX_BYTES = 16 * 2**20
 """Largest payload that is decoded, in bytes."""
 MAX_ITEMS = 10_000
@@ -45,7 +45,7 @@ def decode(message_type: type[M], payload: bytes, encoding: str) -> M:
 
     Raises `DecodeError` when the encoding names another type or version, or the bytes are not it.
     """
-    if encoding != encoding_of(message_type):
+    if encoding != encoding_of(message_type) and not _is_alike(encoding, message_type):
         raise DecodeError(f"encoding is {encoding!r}; expected {encoding_of(message_type)!r}")
     if len(payload) > MAX_BYTES:
         raise DecodeError(f"payload has {len(payload)} bytes; at most {MAX_BYTES} are accepted")
@@ -54,6 +54,13 @@ def decode(message_type: type[M], payload: bytes, encoding: str) -> M:
         return msgspec.convert(plain, message_type, dec_hook=_dec_hook)
     except (msgspec.ValidationError, msgpack.UnpackException, ValueError, TypeError, RecursionError) as error:
         raise DecodeError(f"not a valid {message_type.__name__}: {error}") from error
+
+
+def _is_alike(encoding: str, message_type: type[Message]) -> bool:
+    """Whether an encoding is that of a message type in a minor version of this protocol."""
+    before, _, after = encoding_of(message_type).rpartition(f"={VERSION}")
+    minor = encoding.removeprefix(f"{before}={VERSION}.").removesuffix(after)
+    return minor.isdecimal() and encoding == f"{before}={VERSION}.{minor}{after}"
 
 
 def _unpack(payload: bytes) -> Any:

@@ -88,7 +88,26 @@ PERCEPTION = Key("perception", m.Perception, "robot", Delivery.LATEST, "what the
 SCENE = Key(
     "scene", m.Scene, "robot", Delivery.LATEST, "what a bystander sees: for teachers and viewers", teachers_read=True
 )
+PICTURE = Key(
+    "picture",
+    m.Picture,
+    "robot",
+    Delivery.LATEST,
+    "what the scene looks like, while somebody watches",
+    repeatable=False,
+    teachers_read=True,
+    recorded=False,
+    most_bytes=MODEL_BYTES,
+)
 ACTION = Key("action", m.Action, "action optimizer", Delivery.LATEST, "the current action")
+CHANGE = Key(
+    "change",
+    m.Change,
+    "that operator",
+    Delivery.RELIABLE,
+    "something of the robot is to be another",
+    repeatable=False,
+)
 COMMAND = Key(
     "teacher/{teacher}/command",
     m.Command,
@@ -106,6 +125,14 @@ FEEDBACK = Key(
     "reward or punishment",
     late_joiner="the last 32",
     history=32,
+)
+LESSON = Key(
+    "teacher/{teacher}/lesson",
+    m.Lesson,
+    "that teacher",
+    Delivery.LATCHED,
+    "who teaches from now on, and what his notes mean: for the log, never for the brain",
+    repeatable=False,
 )
 AUDIO = Key(
     "teacher/{teacher}/audio",
@@ -248,9 +275,9 @@ ALIVE = Key(
 )
 
 KEYS = (
-    PERCEPTION, SCENE, ACTION, COMMAND, FEEDBACK, AUDIO, HEARD, PHASE, PAIR, PAIR_STORED, MEMORY_CHANGE,
-    MEMORY_SNAPSHOT, CONTEXT, CURRENT_MODEL, KEPT_MODEL, CHECKPOINT, RESUME, PROGRESS, ITERATION, TIMING, FINISHED,
-    STATUS, ALIVE,
+    PERCEPTION, SCENE, PICTURE, CHANGE, ACTION, COMMAND, FEEDBACK, LESSON, AUDIO, HEARD, PHASE, PAIR, PAIR_STORED,
+    MEMORY_CHANGE, MEMORY_SNAPSHOT, CONTEXT, CURRENT_MODEL, KEPT_MODEL, CHECKPOINT, RESUME, PROGRESS, ITERATION,
+    TIMING, FINISHED, STATUS, ALIVE,
 )  # fmt: skip
 
 

@@ -1,4 +1,5 @@
-"""Who may write and read what, by the key table: the brain all, a teacher writes what is his, a viewer only reads.
+"""Who may write and read what, by the key table: the brain all, a teacher writes what is his, a viewer only reads, an
+operator may change the robot.
 
 Owns the rules, not their enforcement: that is the router's, by the certificate a client shows. A client asks here
 first, because the router drops what it denies without a word.
@@ -16,6 +17,7 @@ from mdb_protocol.keys import ALIVE, KEYS, ROOT, STATUS, Key
 PRESENCE = (STATUS, ALIVE)
 """Rows on which everyone has a key of its own, by role and instance."""
 TEACHER_WRITES = tuple(row for row in KEYS if row.writer == "that teacher")
+OPERATOR_WRITES = tuple(row for row in KEYS if row.writer == "that operator")
 TEACHER_READS = tuple(row for row in KEYS if row.teachers_read)
 
 
@@ -25,6 +27,7 @@ class Role(Enum):
     BRAIN = "brain"
     TEACHER = "teacher"
     VIEWER = "viewer"
+    OPERATOR = "operator"
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class User:
         """Return the key expressions it may write; concrete keys but for the brain's own."""
         if self.role is Role.BRAIN:
             return [self.everything()]
-        rows = TEACHER_WRITES if self.role is Role.TEACHER else ()
+        rows = {Role.TEACHER: TEACHER_WRITES, Role.OPERATOR: OPERATOR_WRITES}.get(self.role, ())
         own = {"teacher": self.name, "role": self.role.value, "instance": self.name}
         return [row.at(self.brain, **{name: own[name] for name in row.parameters}) for row in (*rows, *PRESENCE)]
 
@@ -83,6 +86,7 @@ def table() -> str:
             "| brain | all keys of its brain | all keys of its brain |",
             f"| teacher | with its own name: {writes}, {presence} | {read}; with its own name: {read_own} |",
             f"| viewer | with its own name: {presence} | all keys of its brain |",
+            f"| operator | {_paths(OPERATOR_WRITES)}; with its own name: {presence} | all keys of its brain |",
         ]
     )
 

@@ -59,7 +59,7 @@ class Evolver:
         section = config.model_named(model)
         codebook = Codebook(config.variables(), section.inputs, section.outputs)
         self.bus, self.instance = bus, model
-        shape = Shape(codebook.width, section.hidden, len(section.outputs))
+        shape = Shape(codebook.width, section.hidden, codebook.output_width)
         self._learner = _learner_of(config, model, shape)
         compile_kernels()
         self._lockstep = config.lockstep

@@ -1,247 +1,188 @@
-"""The contract every body keeps, its configuration, and the way to get a body by name.
+"""The contract every body keeps, and the values that cross it. Knows no robot, no service, no file.
 
-Owns: `Robot` (what the robot service may ask of a body), the frozen values that cross it, `RobotConfig`
-and `make_robot`. Must not import zenoh, pybullet or any service: a body is found by name, when asked for.
-
-Frames: x forward, y left, angles counter-clockwise in radians, the robot's origin half-way between the
-driven wheels (its centre of rotation). World: the arena's centre is the origin.
+A body is a machine in its world: a simulated one, a real one, or an environment of somebody else's. It is told values
+for its actuators and says what its sensors perceive; what is true for a bystander is its scene. It knows neither
+models nor rewards nor languages, and counts nothing: iterations, episodes and successes are counted by the robot
+service. `tests/conformance/body_conformance.py` holds a body to this page (after dm_env's conformance suite).
 """
 
 from __future__ import annotations
 
-import importlib
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import msgspec
-from msgspec import Meta
+import numpy as np
 
-Reading = dict[str, float]
-"""What the brain gets: "distance" (m), "angle" (rad, folded to ±pi/2) and "continuity" (1.0 when the object
-is behind), or no key at all when the sonar sees no object."""
+from mdb_protocol.messages import NOTHING, Drawing
 
-Event = Literal["none", "capture", "bump", "lost", "timeout"]
-
-BODIES = {
-    "kinematic": "mdb_sim.bodies.pioneer.twin:KinematicRobot",
-    "pybullet": "mdb_sim.bodies.pioneer.physics:PioneerRobot",
-}
-"""The bodies that have a short name; any other is named "package.module:Factory"."""
+Reading = dict[str, float | list[float]]
+"""What sensors perceive, by name: a number, or a vector. A sensor that perceives nothing is left out."""
+Numbers = dict[str, float]
+"""The values of actuators, or what is true in a scene, by name."""
 
 
-class RobotError(ValueError):
+class BodyError(ValueError):
     """A body was asked for something it cannot do; the message tells what was expected and how to mend it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """Where the robot's centre of rotation is, and where its front points."""
+class Sensor(msgspec.Struct, frozen=True, kw_only=True):
+    """What a body perceives: `numbers` of them, each from `low` to `high` as a rule, in `unit`."""
 
-    x_m: float
-    y_m: float
-    heading_rad: float
-
-
-@dataclass(frozen=True, slots=True)
-class Placement:
-    """Where the robot and the (centre of the) object are: the truth, which the brain never sees."""
-
-    robot: Pose
-    object_x_m: float
-    object_y_m: float
+    name: str
+    low: float
+    high: float
+    unit: str = ""
+    numbers: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What one action did.
+class Actuator(msgspec.Struct, frozen=True, kw_only=True):
+    """What a body can be told: a value from `low` to `high`, in `unit`."""
 
-    `reached` and `reading` tell where the action brought the robot and what it sensed there, before any new
-    placement; `now` and `next_reading` tell the same after one. Without a new placement they are the same
-    objects. `iteration` counts actions since `reset` (its own step is iteration 0); `captures` and `episode`
-    are counts since `reset`, after this step. `episode_age` (actions since the last placement) and `unseen`
-    (readings without the object, in a row) complete what `Robot.restore` needs.
-    """
+    name: str
+    low: float
+    high: float
+    unit: str = ""
 
-    iteration: int
-    event: Event
-    reached: Placement
+
+class Spec(msgspec.Struct, frozen=True, kw_only=True):
+    """What a body has: against this an experiment file is checked before anything starts."""
+
+    sensors: tuple[Sensor, ...]
+    actuators: tuple[Actuator, ...]
+    choices: tuple[Numbers, ...] = ()
+    """The only actions that it can carry out; none: every one in its actuators' ranges."""
+    events: tuple[str, ...] = ()
+    """Its own words for what can happen, beside `NOTHING`, ..."""
+    final: tuple[str, ...] = ()
+    """... and those of them after which it can only begin an episode anew."""
+    scene: tuple[str, ...] = ()
+    """The names of its scene's numbers."""
+    changes: tuple[str, ...] = ()
+    """What of it can be changed while it runs."""
+
+
+class Outcome(NamedTuple):
+    """What an action led to: an event of the body's own, `NOTHING` as a rule, and what is perceived there."""
+
+    event: str
     reading: Reading
-    now: Placement
-    next_reading: Reading
-    captures: int
-    episode: int
-    episode_age: int = 0
-    unseen: int = 0
 
 
-class Robot(Protocol):
-    """A body in its world. One thread uses it at a time; nothing here knows models, rewards or languages."""
+def check(spec: Spec, values: Mapping[str, float]) -> None:
+    """Raise BodyError when a body of this kind cannot carry out an action."""
+    if set(values) != {actuator.name for actuator in spec.actuators}:
+        expected = ", ".join(actuator.name for actuator in spec.actuators)
+        raise BodyError(f"action {dict(values)!r}; expected a value for each of {expected}, and for nothing else")
+    for actuator in spec.actuators:
+        value, expected = values[actuator.name], f"{actuator.low:g} to {actuator.high:g} {actuator.unit}".rstrip()
+        if not actuator.low <= value <= actuator.high:
+            raise BodyError(f"{actuator.name} = {value!r}; expected {expected}")
+    if spec.choices and dict(values) not in spec.choices:
+        raise BodyError(f"action {dict(values)!r} is none of the {len(spec.choices)} that this body can carry out")
+
+
+class Body(Protocol):
+    """A machine in its world. One thread uses it at a time, but for `halt`."""
 
     @property
-    def actions(self) -> int:
-        """How many actions there are; an action is an index from 0 to actions - 1."""
+    def spec(self) -> Spec:
+        """What it has; always the same."""
 
-    @property
-    def placement(self) -> Placement:
-        """Where robot and object are now (truth: for the teacher, the log and `restore`)."""
+    def reset(self, seed: int, episode: int) -> Reading:
+        """Begin an episode of a run; return what is perceived there.
 
-    def reset(self, seed: int) -> Step:
-        """Start anew: iteration 0, no captures, a first placement drawn from the seed."""
-
-    def sense(self) -> Reading:
-        """Take a fresh reading where the robot stands; it moves nothing and changes no later step."""
-
-    def act(self, action: int) -> Step:
-        """Turn by the action's angle, advance, sense. RobotError when the action or the moment is wrong."""
-
-    def restore(
-        self,
-        placement: Placement,
-        iteration: int,
-        *,
-        seed: int,
-        episode: int = 0,
-        captures: int = 0,
-        episode_age: int = 0,
-        unseen: int = 0,
-    ) -> None:
-        """Continue a run begun elsewhere: the next `act` does, value by value, what it would have done there.
-
-        Give it the run's seed and a step's `now`, `iteration`, `episode`, `captures`, `episode_age` and
-        `unseen`.
+        The same seed and episode put the same body at the same place. Episode 0 begins the run. A machine that cannot
+        be put anywhere goes on where it stands.
         """
+
+    def act(self, values: Mapping[str, float]) -> Outcome:
+        """Carry out an action, come to rest, perceive. BodyError when values or moment are wrong: nothing is done."""
+
+    def halt(self) -> None:
+        """Bring the actuators to rest, now; from any thread, and while `act` runs, which then returns soon."""
+
+    def scene(self) -> Numbers:
+        """Return what is true now: for the teacher and the log. The brain never sees it."""
+
+    def state(self) -> bytes | None:
+        """Return all from which `restore` goes on, value by value; None: it cannot be put back."""
+
+    def restore(self, state: bytes) -> None:
+        """Go on from a state of a body made alike. BodyError when it is none."""
 
     def close(self) -> None:
         """Free what the body holds; calling it twice is harmless."""
 
 
-Metres = Annotated[float, Meta(gt=0.0, le=100.0)]
-Share = Annotated[float, Meta(ge=0.0, lt=1.0)]
-TurnDeg = Annotated[float, Meta(ge=-180.0, le=180.0)]
+@runtime_checkable
+class Changeable(Protocol):
+    """A body of which something can be changed while it runs."""
+
+    def change(self, **settings: Any) -> None:
+        """Change what `Spec.changes` names. BodyError when a name or a value is wrong: nothing is changed."""
 
 
-class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Body, world and episode rules. Defaults: paper, section 3, and ours.
+@runtime_checkable
+class Sensing(Protocol):
+    """A body that can take a reading where it stands."""
 
-    What they mean is in sim/README.md, "Actions, episodes, captures", and where they come from in
-    sim/README.md, "Which seeds chose which constant".
-
-    Bounds are checked however it is made (decoded or constructed): msgspec.ValidationError or RobotError,
-    both ValueErrors.
-    """
-
-    turns_deg: Annotated[tuple[TurnDeg, ...], Meta(min_length=2, max_length=64)] = (
-        0.0, -20.0, -45.0, -90.0, 20.0, 45.0, 90.0,
-    )  # fmt: skip
-    """One turn an action, left positive, in the paper's order: none, three to the right, three left."""
-    advance_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.20
-
-    arena_m: Annotated[float, Meta(gt=1.0, le=100.0)] = 10.0
-    """Side of the square that the walls enclose."""
-    object_radius_m: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.15
-    place_min_m: Metres = 0.7
-    """Nearest and farthest the object is placed, counted as the capture distance is."""
-    place_max_m: Metres = 1.5
-
-    capture_distance_m: Metres = 0.40
-    """Centre of rotation to the object's surface; see `arena.is_captured`."""
-    capture_angle_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 20.0
-    episode_iterations: Annotated[int, Meta(ge=1, le=1_000_000)] = 40
-    lost_readings: Annotated[int, Meta(ge=1, le=1_000_000)] = 3
-
-    sonar_min_m: Metres = 0.10
-    sonar_max_m: Metres = 5.0
-    sonar_half_cone_deg: Annotated[float, Meta(ge=0.0, le=45.0)] = 15.0
-    sonar_rays: Annotated[int, Meta(ge=1, le=101)] = 7
-    sonar_noise: Share = 0.01
-    """Standard deviation of a range, as a share of it."""
-    sonar_dropout: Share = 0.02
-    """Probability that an echo is not heard."""
-    sonar_specular_deg: Annotated[float, Meta(gt=0.0, le=90.0)] = 40.0
-    """Beyond this angle between ray and surface normal the sound is mirrored away."""
-    attention_m: Metres = 2.0
-    """Echoes farther than this from the centre of rotation are not taken for the object (they are walls)."""
-
-    physics_hz: Annotated[int, Meta(ge=60, le=2000)] = 90
-    """Steps of physics in a second of robot time, for bodies that have physics."""
-
-    def __post_init__(self) -> None:
-        """Check each field's bounds (msgspec alone does so only on decoding), then those between fields."""
-        for field in msgspec.structs.fields(self):
-            value = getattr(self, field.name)
-            try:
-                msgspec.convert(value, field.type)
-            except msgspec.ValidationError as error:
-                raise RobotError(f"robot config: {field.name}={value!r}: {error}; mend that value") from None
-        self._check_order("place_min_m", "place_max_m")
-        self._check_order("sonar_min_m", "sonar_max_m")
-        needed_m = 2.0 * (self.place_max_m + 2.0 * self.object_radius_m + 0.5)
-        if self.arena_m < needed_m:
-            raise RobotError(
-                f"robot config: arena_m={self.arena_m} has no room for an object {self.place_max_m} m"
-                f" from the centre; expected at least {needed_m:.2f}; enlarge arena_m or lower place_max_m"
-            )
-
-    def _check_order(self, low: str, high: str) -> None:
-        if getattr(self, low) > getattr(self, high):
-            values = f"{low}={getattr(self, low)} exceeds {high}={getattr(self, high)}"
-            raise RobotError(f"robot config: {values}; expected the lesser first; swap or mend them")
-
-    @property
-    def turns_rad(self) -> tuple[float, ...]:
-        """The actions' turns in radians, left positive."""
-        return tuple(math.radians(turn) for turn in self.turns_deg)
+    def sense(self) -> Reading:
+        """Return a fresh reading; it moves nothing and changes nothing of what comes."""
 
 
-def make_robot(body: str, config: RobotConfig | None = None, *, gui: bool = False) -> Robot:
-    """Make the body named "pybullet", "kinematic" or "package.module:Factory" (called with the config).
+@runtime_checkable
+class Drawable(Protocol):
+    """A body that can draw its scene."""
 
-    `gui` asks for a window, which only the pybullet body has. RobotError when there is no such body, when a
-    package it needs is missing, or when what the factory returns does not keep the contract.
-    """
-    factory = _factory(body)
-    if gui and body != "pybullet":
-        raise RobotError(f"body={body!r} has no window; drop the gui option or use body='pybullet'")
-    try:
-        robot = factory(config or RobotConfig(), gui=True) if gui else factory(config or RobotConfig())
-    except TypeError as error:
-        raise RobotError(
-            f"body={body!r} could not be made: {error}; expected a factory that takes a RobotConfig"
-        ) from error
-    wanted = ("actions", "placement", "reset", "sense", "act", "restore", "close")
-    missing = [name for name in wanted if not hasattr(type(robot), name) and name not in vars(robot)]
-    if missing:
-        raise RobotError(
-            f"body={body!r} gave a {type(robot).__name__} without {', '.join(missing)};"
-            " expected the members of mdb_sim.body.Robot; add them to that class"
+    def draw(self, reading: Reading) -> Drawing:
+        """Return the scene as shapes, and in it what is perceived."""
+
+
+@runtime_checkable
+class Imaging(Protocol):
+    """A body that can show an image of its scene."""
+
+    def image(self) -> np.ndarray | None:
+        """Return an image (rows, columns, 3) of bytes, at most `messages.MAX_IMAGE` of each; None: it cannot."""
+
+
+class Resting:
+    """What most bodies have in common: they rest after each action, so that there is nothing to halt."""
+
+    def halt(self) -> None:
+        """See `Body.halt`."""
+
+
+class Unrestorable:
+    """What machines have in common that cannot be put back."""
+
+    def state(self) -> bytes | None:
+        """See `Body.state`."""
+        return None
+
+    def restore(self, state: bytes) -> None:
+        """See `Body.restore`."""
+        raise BodyError(
+            f"this machine cannot be put back (got a state of {len(state)} bytes); it goes on where it is"
         )
-    return robot
 
 
-def _factory(body: str) -> Callable[..., Robot]:
-    """Import what the body's name stands for."""
-    module_name, colon, attribute = BODIES.get(body, body).partition(":")
-    if not (colon and module_name and attribute):
-        raise RobotError(
-            f"no body named {body!r}; expected {', '.join(map(repr, BODIES))} or 'package.module:Factory'"
-        )
-    try:
-        module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        raise RobotError(_missing_module(body, module_name, error)) from error
-    factory = getattr(module, attribute, None)
-    if not callable(factory):
-        raise RobotError(f"body={body!r}: {module_name} has no callable {attribute!r}; mend the name after the colon")
-    made: Callable[..., Robot] = factory
-    return made
-
-
-def _missing_module(body: str, module_name: str, error: ModuleNotFoundError) -> str:
-    if body == "pybullet" and error.name == "pybullet":
-        return (
-            "body='pybullet' needs the package pybullet, which is not installed; run"
-            " `pip install 'multilevel-darwinist-brain[pybullet]'`, or use body='kinematic'"
-        )
-    return f"body={body!r}: importing {module_name} failed: {error}; install it, or mend the name"
+__all__ = [
+    "NOTHING",
+    "Actuator",
+    "Body",
+    "BodyError",
+    "Changeable",
+    "Drawable",
+    "Imaging",
+    "Numbers",
+    "Outcome",
+    "Reading",
+    "Resting",
+    "Sensing",
+    "Sensor",
+    "Spec",
+    "Unrestorable",
+    "check",
+]

@@ -15,9 +15,11 @@ import pytest
 
 from mdb_sim.bodies.pioneer.arena import clearance_m, wrap_rad
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
-from mdb_sim.body import Placement, RobotConfig, Step
-from mdb_sim.studies.twins import TOUCHING_M
-from mdb_sim.teaching.teacher import wanted_action
+from mdb_sim.bodies.pioneer.world import PioneerConfig, Placement, placement_of
+from mdb_sim.body import Numbers
+from mdb_sim.robot.course import Course, Step
+from mdb_sim.studies.twins import PAPERS_RULES, TOUCHING_M, facing
+from mdb_sim.teaching.policies.pioneer import PAPERS_TURNS_DEG
 
 pybullet = pytest.importorskip("pybullet")
 from mdb_sim.bodies.pioneer import physics as pioneer  # noqa: E402  it needs pybullet
@@ -29,7 +31,7 @@ class Tried(pioneer.PioneerRobot):
     """The shipped body with other settings of the engine."""
 
     def __init__(self, hz: int, solver_iterations: int, *, cone: bool = False) -> None:
-        super().__init__(RobotConfig(physics_hz=hz))
+        super().__init__(physics_hz=hz)
         pybullet.setPhysicsEngineParameter(
             numSolverIterations=solver_iterations, enableConeFriction=int(cone), physicsClientId=self._client
         )
@@ -71,21 +73,27 @@ class Measured:
 
 def measure(body: Tried, start: Placement, turn_rad: float, twin: Step, measured: Measured) -> None:
     """Let the body move from there, and compare with what was asked for and with where the twin came to."""
-    body.restore(start, 0, seed=0)
+    body.put(start, 0)
     began_s = time.process_time()
     bumped = body.move(turn_rad)
     measured.took_s.append(time.process_time() - began_s)
-    reached, begun, wanted = body.placement, start.robot, twin.reached.robot
+    asked = placement_of(twin.reached)
+    reached, begun, wanted = body.placement, start.robot, asked.robot
     robot = reached.robot
     apart_mm = 1e3 * math.hypot(robot.x_m - wanted.x_m, robot.y_m - wanted.y_m)
     if bumped and twin.event == "bump":
         measured.bump_mm.append(apart_mm)
-    if min(clearance_m(place, body.config) for place in (reached, twin.reached)) < TOUCHING_M:
+    if min(clearance_m(place, body.config) for place in (reached, asked)) < TOUCHING_M:
         return
     measured.turn_deg.append(abs(math.degrees(wrap_rad(robot.heading_rad - begun.heading_rad - turn_rad))))
     advance_m = math.hypot(robot.x_m - begun.x_m, robot.y_m - begun.y_m)
     measured.advance_mm.append(1e3 * abs(advance_m - body.config.advance_m))
     measured.place_mm.append(apart_mm)
+
+
+def any_turn(rng: np.random.Generator) -> Numbers:
+    """Return one of the paper's turns, each as likely."""
+    return {"turn": PAPERS_TURNS_DEG[int(rng.integers(len(PAPERS_TURNS_DEG)))]}
 
 
 def line(name: str, measured: Measured, ratio: float) -> str:
@@ -98,7 +106,7 @@ def line(name: str, measured: Measured, ratio: float) -> str:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_the_shipped_physics_costs_less_and_errs_less_than_the_first(capsys: pytest.CaptureFixture[str]) -> None:
-    shipped = f"{RobotConfig().physics_hz} Hz, {pioneer.SOLVER_ITERATIONS}"
+    shipped = f"{PioneerConfig().physics_hz} Hz, {pioneer.SOLVER_ITERATIONS}"
     bodies = {
         "as it was: 240 Hz, 50": AsItWas(240, 50, cone=True),
         "as it was: 120 Hz, 30": AsItWas(120, 30, cone=True),
@@ -112,15 +120,18 @@ def test_the_shipped_physics_costs_less_and_errs_less_than_the_first(capsys: pyt
         "60 Hz, 30": Tried(60, 30),
     }
     results = {name: Measured() for name in bodies}
-    twin, turns_rad = KinematicRobot(RobotConfig()), RobotConfig().turns_rad
+    twin, ideal = KinematicRobot(), facing()
     for seed in SEEDS:
-        step, rng = twin.reset(seed), np.random.default_rng(seed)
+        course, rng = Course(twin, PAPERS_RULES, seed), np.random.default_rng(seed)
         for _ in range(ITERATIONS):
-            start = step.now
-            action = int(rng.integers(twin.actions)) if rng.random() < 0.5 else wanted_action(start, turns_rad)
-            step = twin.act(action)
+            scene = course.last.now
+            anything = rng.random() < 0.5
+            action = (
+                {"turn": PAPERS_TURNS_DEG[int(rng.integers(len(PAPERS_TURNS_DEG)))]} if anything else ideal(scene)
+            )
+            step = course.act(action)
             for name, body in bodies.items():
-                measure(body, start, turns_rad[action], step, results[name])
+                measure(body, placement_of(scene), math.radians(action["turn"]), step, results[name])
     first, best = results["as it was: 240 Hz, 50"], results[shipped]
     ratios = {name: np.median(np.divide(first.took_s, measured.took_s)) for name, measured in results.items()}
     with capsys.disabled():

@@ -73,7 +73,7 @@ def feedback(iteration: int, teacher: str = "anna", value: float = 1.0) -> messa
 
 
 def action(iteration: int) -> messages.Action:
-    return messages.Action(iteration=iteration, action=3, valid_for_s=1.0)
+    return messages.Action(iteration=iteration, action={"turn": 20.0}, choice=4, valid_for_s=1.0)
 
 
 def model(version: int) -> messages.CurrentModel:

@@ -118,6 +118,13 @@ def test_the_phases_of_a_long_experiment_come_again_in_order() -> None:
     ]  # fmt: skip
 
 
+def test_a_long_experiment_finds_the_body_that_lies_beside_its_file(tmp_path: Path) -> None:
+    for name in ("paper.toml", "own_body.py"):
+        (tmp_path / name).write_text(experiment_path("paper").read_text() if name.endswith(".toml") else "")
+    long = long_experiment(tmp_path / "paper.toml", ['robot.body="own_body:Body"'], 3000)
+    assert long.brain.experiment.folder == str(tmp_path)
+
+
 def test_a_process_is_known_by_its_command_line() -> None:
     members = {spec.name: Member.of(spec) for spec in read().values()}
     command = ["python", "-m", "mdb_deploy.cli", "run", "evolver", "--model", "object", "--run", "/run"]

@@ -203,16 +203,18 @@ def granted(section: dict[str, object], who: str, flow: str, message: str) -> se
     return {key for rule in own if flow in rule["flows"] and message in rule["messages"] for key in rule["key_exprs"]}
 
 
-def test_the_access_control_gives_a_teacher_his_own_keys_and_a_viewer_none(folder: KeyFolder) -> None:
+def test_the_access_control_gives_each_role_its_own_keys(folder: KeyFolder) -> None:
     folder.add(Role.TEACHER, "anna")
     folder.add(Role.VIEWER, "tom")
+    folder.add(Role.OPERATOR, "eve")
     section = access.read(folder.path / access.ACCESS_FILE)
     assert section["enabled"] is True
     assert section["default_permission"] == "deny"
     for who, keys in (
-        ("pioneer/teacher/anna", ["teacher/anna/command", "teacher/anna/feedback", "teacher/anna/audio",
-                                  "status/teacher/anna", "alive/teacher/anna"]),
+        ("pioneer/teacher/anna", ["teacher/anna/command", "teacher/anna/feedback", "teacher/anna/lesson",
+                                  "teacher/anna/audio", "status/teacher/anna", "alive/teacher/anna"]),
         ("pioneer/viewer/tom", ["status/viewer/tom", "alive/viewer/tom"]),
+        ("pioneer/operator/eve", ["change", "status/operator/eve", "alive/operator/eve"]),
     ):  # fmt: skip
         expected = {f"mdb/pioneer/{key}{more}" for key in keys for more in ("", "/@adv/**")}
         for message in ("put", "reply", "declare_queryable", "liveliness_token"):

@@ -16,7 +16,7 @@ from mdb_services.mechanism.networks.network import Shape
 from mdb_services.mechanism.settings import LEARNER_CONFIGS
 from mdb_services.memory.file import MemoryFile
 from mdb_sim.runs.experiment import Experiment
-from mdb_sim.runs.measures import captures
+from mdb_sim.runs.measures import successes
 from mdb_sim.runs.record import read_record
 
 KINEMATIC = ["--set", "robot.body=kinematic"]
@@ -75,7 +75,7 @@ def test_models_of_another_run_act_at_once(taught: Path, tmp_path: Path) -> None
     for name, more in (("without", []), ("with", ["--long-term", str(taught)])):
         assert main(["up", *words, "--runs", str(tmp_path / name), *more]) == 0
     records = {name: read_record(next((tmp_path / name).iterdir())) for name in ("without", "with")}
-    assert captures(records["with"], (0, 150)) > 25 + captures(records["without"], (0, 150))
+    assert successes(records["with"], (0, 150)) > 25 + successes(records["without"], (0, 150))
 
 
 def test_a_model_that_does_not_fit_is_refused_and_nothing_is_written(

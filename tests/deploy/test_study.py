@@ -73,7 +73,7 @@ def other_experiment(path: Path, **sections: Any) -> Path:
             {"name": "alone", "world": "thing", "satisfaction": "next.distance", "aspiration": 0.5, "reach": 0.2},
         ],
         "memory": {"distance": 1.0, "outcome": 0.5},
-        "robot": {"body": "kinematic", "world": {"turns_deg": [0, -20, 20]}},
+        "robot": {"body": "kinematic", "successes": ["capture"], "ends": ["capture", "bump", "lost"]},
     }
     path.write_text(tomli_w.dumps(content | sections), encoding="utf-8")
     return path
@@ -99,7 +99,7 @@ def test_variants_of_the_ablation_take_one_ingredient_away_each() -> None:
         "FIFO only": (*fifo, "context.enabled=false"),
         "punishments not kept": ("model.induced.memory.outcome=0",),
         "no committees": tuple(alone),
-        "no support": (f"mode=[{{{taught}, curiosity=0.5}}, {{{induced}, curiosity=0.0}}]",),
+        "no support": (f"mode=[{{{taught}, curiosity=0.5, margin=0.0}}, {{{induced}, curiosity=0.0, margin=0.2}}]",),
         "no aspiration": ("mode.taught.exploration=0", "mode.taught.curiosity=0"),
         "scalar note": ("channels.note={low=0, high=6}",),
         "smaller memories": tuple(smaller),
@@ -151,10 +151,11 @@ def test_a_file_without_an_ingredient_has_no_such_variant(tmp_path: Path) -> Non
 def test_the_paper_as_written_lacks_every_addition_and_each_comes_back_alone() -> None:
     variants = variants_of("paper", Experiment.read(PAPER))
     written = variants["paper as written"]
-    assert 'channels.turn={low=0, high=6, of="action"}' in written
+    assert "channels.action={low=0, high=6}" in written
+    assert 'model.object.inputs=["distance", "angle", "continuity", "action"]' in written
     experiment = Experiment.read(PAPER, written)
     channels = experiment.brain.variables()
-    assert [channels[name].encoding for name in ("note", "action", "turn")] == ["scalar"] * 3
+    assert [channels[name].encoding for name in ("note", "action")] == ["scalar"] * 2
     assert [(mode.reach, mode.exploration, mode.curiosity) for mode in experiment.brain.mode] == [(None, 0, 0)] * 2
     assert not any(tables.VARIANTS["paper"](experiment)[0].overrides)
     assert [v.name for v in tables.VARIANTS["paper"](experiment) if not v.applies][:1] == [

@@ -9,40 +9,56 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
+from itertools import count
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("textual")
 
 from textual.pilot import Pilot
+from textual.strip import Strip
 from textual.widgets import Static
 
 from mdb_deploy.keys.credentials import KeyFolder
 from mdb_deploy.teach.keyboard import NOTE_KEYS, graded
-from mdb_deploy.teach.screen.app import SessionThread, TeachApp
+from mdb_deploy.teach.screen.app import ScenePicture, SessionThread, TeachApp
 from mdb_deploy.teach.screen.language import LanguageScreen
+from mdb_deploy.teach.screen.picture import HALF_BLOCK
 from mdb_deploy.teach.session import TeachingSession
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Inbox
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.roles import Role
 from mdb_protocol.zenoh_bus import Router, ZenohBus
-from mdb_sim.body import RobotConfig
-from mdb_sim.teaching.teacher import make_language
+from mdb_sim.bodies.pioneer.twin import KinematicRobot
+from mdb_sim.body import NOTHING, Actuator, Body, Numbers, Outcome, Reading, Resting, Sensor, Spec, Unrestorable
+from mdb_sim.robot.course import Rules
+from mdb_sim.robot.service import RobotService
+from mdb_sim.teaching.languages import make_language
+from mdb_sim.teaching.policies.pioneer import Reach
 from tests.integration.brain import BRAIN, Brain, mdb, until
 
 ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"
 BOUND_S = 30.0
 SILENCES = 3
-TURNS = RobotConfig().turns_deg
-REVERSED = make_language("reversed", TURNS)
-LEFT_90, LEFT_45 = TURNS.index(90.0), TURNS.index(45.0)
-PLACE = messages.Placement(x_m=0.0, y_m=0.0, heading_rad=1.0, object_x_m=1.0, object_y_m=1.0)
+REACH = Reach()
+REVERSED = make_language("reversed", REACH.order)
+LEFT_90, LEFT_45 = REACH.commands.index("left 90"), REACH.commands.index("left 45")
+PLACE = {"x_m": 0.0, "y_m": 0.0, "heading_rad": 1.0, "object_x_m": 1.0, "object_y_m": 1.0}
 SCENE = messages.Scene(
-    iteration=4, episode=0, captures=0, event="none", action=None, before=None, reached=PLACE, now=PLACE
+    iteration=4, episode=0, successes=0, event="none", action=None, before=None, reached=PLACE, now=PLACE
+)
+DRAWING = messages.Drawing(
+    shapes=[messages.Shape(kind="disc", points=[(1.0, 1.0)], radius=0.2)], box=(-1.0, -1.0, 2.0, 2.0), front_rad=1.0
+)
+PICTURES = (
+    messages.Picture(iteration=4),
+    messages.Picture(iteration=4, drawing=DRAWING),
+    messages.Picture(iteration=4, image=np.full((5, 9, 3), 200, np.uint8)),
 )
 PATIENT = (
     "experiment.iterations=100000",
@@ -168,6 +184,7 @@ def test_notes_and_feedback_arrive_with_the_teachers_name(brain: Brain) -> None:
             assert (report.feedback, report.judges) == (pytest.approx(graded(7)), ["ann"])
             await ann.until(lambda: re.search(rf" {iteration} c left 20 .*\+0\.56", ann.text("#panel")))
             assert "word     you" in ann.text("#panel")
+            await ann.until(lambda: is_dotted(ann.app))
             assert "connected" in ann.text("#top")
             await ann.pilot.press("z")
             after = await ann.shows_scene_after(after)
@@ -242,7 +259,7 @@ def test_who_leaves_is_gone_and_the_brain_goes_on(brain: Brain) -> None:
             iteration = await ann.shows_scene_after(-1)
             await ann.pilot.press("q")
             until(lambda: "teacher/ann" not in ann.witness.alive())
-            assert not ann.app.thread.running
+            until(lambda: not ann.app.thread.running)
             return iteration
 
     iteration = asyncio.run(lesson())
@@ -265,7 +282,7 @@ def test_who_is_not_heard_reads_who_holds_the_word(brain: Brain) -> None:
                 async with desk(brain, "ann") as ann:
                     await ann.report(lambda r: r.holder == "bob")
                     deadline = time.monotonic() + BOUND_S
-                    while "bob holds the word" not in ann.text("#says"):
+                    while "bob is being obeyed" not in ann.text("#says"):
                         assert time.monotonic() < deadline
                         await ann.pilot.press("x")
                         await ann.shows_scene_after(ann.newest())
@@ -286,9 +303,169 @@ def test_every_size_of_terminal_has_room(size: tuple[int, int]) -> None:
         async with app.run_test(size=size) as pilot:
             one = Desk(app, pilot, world)  # type: ignore[arg-type]
             await one.shows_scene_after(-1)
-            await pilot.press("l", "escape", "u", "h")
+            for picture in PICTURES:
+                world.publisher(keys.PICTURE).put(picture)
+                await one.until(lambda picture=picture: is_of(app._shown.picture, picture))
+                await pilot.press("l", "escape", "u", "h")
+                assert len(drawn(app)) == app.query_one(ScenePicture).size.height
             await pilot.press("q")
         assert app.return_code == 0
+
+    asyncio.run(look())
+
+
+def is_of(shown: messages.Picture | None, sent: messages.Picture) -> bool:
+    """Whether what is shown came as the picture that was sent."""
+    if shown is None or (shown.iteration, shown.drawing) != (sent.iteration, sent.drawing):
+        return False
+    return shown.image is sent.image is None or np.array_equal(shown.image, sent.image)  # type: ignore[arg-type]
+
+
+def drawn(app: TeachApp) -> list[Strip]:
+    """The lines of the scene as they are on the screen."""
+    scene = app.screen_stack[0].query_one(ScenePicture)
+    return [scene.render_line(y) for y in range(scene.size.height)]
+
+
+def is_dotted(app: TeachApp) -> bool:
+    """Whether a drawing is on the screen."""
+    return any(character > "\u2800" for line in drawn(app) for character in line.text)
+
+
+def words_of(app: TeachApp) -> list[list[str]]:
+    return [line.text.split() for line in drawn(app) if line.text.strip()]
+
+
+def colours_of(app: TeachApp) -> set[tuple[int, int, int]]:
+    """The colours of an image's pixels."""
+    styles = [segment.style for line in drawn(app) for segment in line if HALF_BLOCK in segment.text]
+    pairs = [(style.color, style.bgcolor) for style in styles if style is not None]
+    return {tuple(colour.get_truecolor()) for pair in pairs for colour in pair if colour is not None}
+
+
+class Pushed(Resting, Unrestorable):
+    """A body of another kind: it is pushed, and there is nothing to see of it but a number."""
+
+    spec = Spec(
+        sensors=(Sensor(name="light", low=0.0, high=1.0), Sensor(name="speeds", low=-1.0, high=1.0, numbers=2)),
+        actuators=(Actuator(name="push", low=-1.0, high=1.0),),
+        scene=("pole_rad",),
+    )
+
+    def reset(self, seed: int, episode: int) -> Reading:
+        del seed, episode
+        self.pole_rad = 0.25
+        return self.perceived()
+
+    def perceived(self) -> Reading:
+        return {"light": 0.5, "speeds": [0.0, self.pole_rad]}
+
+    def act(self, values: Mapping[str, float]) -> Outcome:
+        self.pole_rad += values["push"]
+        return Outcome(NOTHING, self.perceived())
+
+    def scene(self) -> Numbers:
+        return {"pole_rad": self.pole_rad}
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+
+class Filmed(Pushed):
+    """A body of which there is an image: the lower half is red, and green once it was pushed."""
+
+    def image(self) -> np.ndarray:
+        image = np.zeros((8, 8, 3), np.uint8)
+        image[4:] = (255, 0, 0) if self.pole_rad == 0.25 else (0, 255, 0)
+        return image
+
+
+@asynccontextmanager
+async def watched(body: Body) -> AsyncIterator[tuple[Desk, Callable[[Mapping[str, float]], None]]]:
+    """A teacher's screen and a robot service with a body, and how the robot is told what to do."""
+    fabric, ticks = Fabric(), count()
+    world = MemoryBus(fabric, BRAIN)
+    robot = RobotService(
+        MemoryBus(fabric, BRAIN), body, Rules(), 1, clock=lambda: float(next(ticks)), deadlines=False
+    )
+    app = TeachApp(TeachingSession(MemoryBus(fabric, BRAIN), "ann", REVERSED), "here")
+
+    def tell(action: Mapping[str, float]) -> None:
+        iteration = int(robot.values()["iteration"])
+        world.publisher(keys.ACTION).put(messages.Action(iteration=iteration, action=dict(action), valid_for_s=1.0))
+
+    class Awake(Desk):
+        """Somebody who waits with the robot at work."""
+
+        async def until(self, condition: Callable[[], object]) -> None:
+            await super().until(lambda: (robot.step(), condition())[1])
+
+    async with app.run_test(size=(100, 30)) as pilot:
+        one = Awake(app, pilot, world)  # type: ignore[arg-type]
+        yield one, tell
+        await pilot.press("q")
+    robot.close()
+
+
+def test_a_robot_that_sends_no_picture_is_shown_by_its_numbers() -> None:
+    async def look() -> None:
+        async with watched(Pushed()) as (ann, tell):
+            numbers = [
+                ["the", "scene"],
+                ["pole_rad", "0.25"],
+                ["perceived"],
+                ["light", "0.5"],
+                ["speeds", "0", "0.25"],
+            ]
+            await ann.until(lambda: words_of(ann.app) == numbers)
+            tell({"push": 0.5})
+            await ann.until(lambda: ["pole_rad", "0.75"] in words_of(ann.app))
+            assert ["speeds", "0", "0.75"] in words_of(ann.app)
+
+    asyncio.run(look())
+
+
+def test_numbers_are_shown_of_what_is_no_robot_of_ours_and_knows_no_pictures() -> None:
+    async def look() -> None:
+        fabric = Fabric()
+        world = MemoryBus(fabric, BRAIN)
+        world.publisher(keys.SCENE).put(SCENE)
+        app = TeachApp(TeachingSession(MemoryBus(fabric, BRAIN), "ann", REVERSED), "here")
+        async with app.run_test() as pilot:
+            one = Desk(app, pilot, world)  # type: ignore[arg-type]
+            await one.until(lambda: ["object_y_m", "1"] in words_of(app))
+            assert app.session.view.picture is None
+            await pilot.press("q")
+
+    asyncio.run(look())
+
+
+def test_an_image_that_the_robot_sends_is_shown_and_follows_what_it_does() -> None:
+    async def look() -> None:
+        async with watched(Filmed()) as (ann, tell):
+            await ann.until(lambda: colours_of(ann.app) == {(0, 0, 0), (255, 0, 0)})
+            lines = [line for line in drawn(ann.app) if HALF_BLOCK in line.text]
+            assert len(lines) == ann.app.query_one(ScenePicture).size.height, "as large as there is room for"
+            assert len({line.text.count(HALF_BLOCK) for line in lines}) == 1
+            assert lines[0].text.count(HALF_BLOCK) == 2 * len(lines), "a square, two pixels a character"
+            tell({"push": 0.5})
+            await ann.until(lambda: colours_of(ann.app) == {(0, 0, 0), (0, 255, 0)})
+
+    asyncio.run(look())
+
+
+def test_a_drawing_that_the_robot_sends_is_shown_and_can_be_turned() -> None:
+    async def look() -> None:
+        async with watched(KinematicRobot()) as (ann, tell):
+            await ann.until(lambda: is_dotted(ann.app))
+            before = [line.text for line in drawn(ann.app)]
+            tell({"turn": 45.0})
+            await ann.until(lambda: [line.text for line in drawn(ann.app)] != before)
+            before = [line.text for line in drawn(ann.app)]
+            await ann.pilot.press("u")
+            await ann.until(lambda: [line.text for line in drawn(ann.app)] != before)
+            await ann.pilot.press("u")
+            await ann.until(lambda: [line.text for line in drawn(ann.app)] == before)
 
     asyncio.run(look())
 
@@ -381,7 +558,7 @@ def test_a_laptop_needs_only_the_extra_teach() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--language", "notes:1,1"), "no language 'notes:1,1' for 7 actions"),
+        (("--language", "notes:1,1"), "no language 'notes:1,1' for 7 commands"),
         (("--name", "a b"), "expected 1 to 64 letters"),
         (("--keys", "nowhere.pem"), "with keys the router is at tls/"),
         (("--experiment", "nowhere.toml"), "cannot read the experiment file"),

@@ -8,37 +8,46 @@ import numpy as np
 import pytest
 
 from mdb_deploy.experiments import experiment_path
-from mdb_deploy.teach.record import CAPTURES_IN, ERROR_MEAN, OBEDIENCE_OF
+from mdb_deploy.teach.record import ERROR_MEAN, OBEDIENCE_OF, SUCCESSES_IN
 from mdb_deploy.teach.screen import panel
 from mdb_deploy.teach.session import WITHOUT_EFFECT, TeachingSession
-from mdb_deploy.teach.view import View, meaning, swapped
+from mdb_deploy.teach.view import View, swapped
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.hearing.ear import Ear
 from mdb_services.shell.service import announce
-from mdb_sim.body import RobotConfig
 from mdb_sim.runs.experiment import Experiment
+from mdb_sim.teaching.languages import make_language
+from mdb_sim.teaching.policies.pioneer import Reach
+from mdb_sim.teaching.policies.plain import Named
 from mdb_sim.teaching.schedule import TeacherSection, schedule_of
 from mdb_sim.teaching.service import ScriptedTeacher
 from mdb_sim.teaching.sound import Player, SoundSection
-from mdb_sim.teaching.teacher import make_language
 
 BRAIN, ANN = "test", "ann"
-TURNS = RobotConfig().turns_deg
-ORDERED, REVERSED = make_language("ordered", TURNS), make_language("reversed", TURNS)
+REACH = Reach()
+ORDERED, REVERSED = make_language("ordered", REACH.order), make_language("reversed", REACH.order)
 AHEAD, LEFT, BEHIND = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.1)
 NONE, LARGE_RIGHT, LARGE_LEFT = 0, 3, 6
 HEARING = Experiment.read(experiment_path("paper"), ["ear.detector=template"]).brain
 
 
-def placement(where: tuple[float, float], x_m: float = 0.0) -> messages.Placement:
-    return messages.Placement(x_m=x_m, y_m=0.0, heading_rad=0.0, object_x_m=where[0], object_y_m=where[1])
+def placed(where: tuple[float, float], x_m: float = 0.0, turned_deg: float = 0.0) -> dict[str, float]:
+    """A scene's numbers; where: the object, as seen from the robot, x to its front and y to its left."""
+    turned_rad = math.radians(turned_deg)
+    (x, y), cos, sin = where, math.cos(turned_rad), math.sin(turned_rad)
+    there = {"object_x_m": x_m + x * cos - y * sin, "object_y_m": x * sin + y * cos}
+    return {"x_m": x_m, "y_m": 0.0, "heading_rad": turned_rad, **there}
 
 
-def scene(iteration: int, now: tuple[float, float] = AHEAD, action: int = NONE, **fields: Any) -> messages.Scene:
-    done = {"action": action, "before": placement(AHEAD)} if iteration else {"action": None, "before": None}
-    at = placement(now, 0.1 * iteration)
-    plain: dict[str, Any] = {"episode": 0, "captures": 0, "event": "none", "reached": at, "now": at}
+def scene(iteration: int, now: tuple[float, float] = AHEAD, did: int = NONE, **fields: Any) -> messages.Scene:
+    """A scene after the robot did what a command wants."""
+    turn_deg = REACH.turns_deg[did]
+    done: dict[str, Any] = {"action": None, "before": None}
+    if iteration:
+        done = {"action": {"turn": turn_deg}, "before": placed(AHEAD, 0.1 * (iteration - 1))}
+    at = placed(now, 0.1 * iteration, turn_deg if iteration else 0.0)
+    plain: dict[str, Any] = {"episode": 0, "successes": 0, "event": "none", "reached": at, "now": at}
     return messages.Scene(iteration=iteration, **(plain | done | fields))
 
 
@@ -68,8 +77,9 @@ class Rig:
 
     def report(self, iteration: int, **fields: Any) -> None:
         plain: dict[str, Any] = {
-            "mode": "taught", "action": NONE, "explored": False, "predicted": None, "note": None, "feedback": None,
-            "event": "none", "prequential": {}, "versions": {}, "teacher": ANN, "holder": ANN,
+            "mode": "taught", "action": {"turn": 0.0}, "choice": NONE, "explored": False, "predicted": None,
+            "note": None, "feedback": None, "event": "none", "prequential": {}, "versions": {}, "teacher": ANN,
+            "holder": ANN,
         }  # fmt: skip
         self.world.publisher(keys.ITERATION).put(messages.IterationReport(iteration=iteration, **(plain | fields)))
         self.step()
@@ -88,11 +98,11 @@ class Rig:
     def judged(self) -> list[tuple[int, float | None]]:
         return [(feedback.iteration, feedback.value) for feedback in iter(self.feedback.take, None)]
 
-    def lesson(self, note: int, action: int, iteration: int) -> None:
-        """The teacher says a note at a scene, the robot does the action."""
+    def lesson(self, note: int, did: int, iteration: int) -> None:
+        """The teacher says a note at a scene, the robot does what a command wants."""
         self.show(scene(iteration))
         self.command(note)
-        self.show(scene(iteration + 1, action=action))
+        self.show(scene(iteration + 1, did=did))
 
 
 def test_a_note_is_meant_for_the_newest_scene_and_each_scene_has_one() -> None:
@@ -219,12 +229,41 @@ def test_obedience_is_by_what_the_note_meant_when_it_was_said() -> None:
 
 
 def test_the_language_stays_the_teachers_own() -> None:
+    """What the notes mean is said for the log alone, on a key that nothing of the brain reads."""
     rig = Rig()
+    rig.show(scene(0))
     tap = rig.world.tap()
+    while tap.take() is not None:
+        pass
     rig.session.speak(REVERSED)
     rig.step()
-    assert tap.take() is None
     assert rig.session.view.language == REVERSED
+    rig.show(scene(1))
+    said = [keys.find(BRAIN, raw.key) for raw in iter(tap.take, None)]
+    assert said == [keys.LESSON, keys.SCENE]
+
+
+def test_those_who_watch_learn_who_teaches_what_his_notes_mean_and_when_he_left() -> None:
+    rig, commands = Rig(), list(REACH.commands)
+    lessons = rig.world.subscriber(keys.LESSON)
+    rig.session.speak(REVERSED)
+    rig.step()
+    assert lessons.take() is None, "there is no iteration yet from which on it holds"
+    for i in (3, 4):
+        rig.show(scene(i))
+    rig.session.speak(ORDERED)  # before the note of iteration 4
+    rig.step()
+    rig.session.command(0)
+    rig.session.speak(REVERSED)  # after it
+    rig.step()
+    rig.show(scene(5))
+    rig.session.close()
+    assert list(lessons.some()) == [
+        messages.Lesson(teacher=ANN, iteration=3, commands=commands, notes=list(REVERSED.notes)),
+        messages.Lesson(teacher=ANN, iteration=4, commands=commands, notes=list(ORDERED.notes)),
+        messages.Lesson(teacher=ANN, iteration=5, commands=commands, notes=list(REVERSED.notes)),
+        messages.Lesson(teacher=ANN, iteration=5, commands=[], notes=[], over=True),
+    ]
 
 
 def test_swapping_two_notes_changes_two_meanings() -> None:
@@ -232,13 +271,12 @@ def test_swapping_two_notes_changes_two_meanings() -> None:
     assert language.command(ORDERED.note(NONE)) == LARGE_LEFT
     assert language.command(ORDERED.note(LARGE_LEFT)) == NONE
     assert swapped(language, NONE, ORDERED.note(NONE)).notes == ORDERED.notes
-    assert make_language(language.name, TURNS) == language
+    assert make_language(language.name, REACH.order) == language
 
 
-def test_actions_are_told_by_side_and_angle() -> None:
-    assert [meaning(turn) for turn in TURNS] == [
-        "ahead", "right 20", "right 45", "right 90", "left 20", "left 45", "left 90",
-    ]  # fmt: skip
+def test_commands_are_told_by_side_and_angle() -> None:
+    assert REACH.commands == ("ahead", "right 20", "right 45", "right 90", "left 20", "left 45", "left 90")
+    assert Rig().session.policy.commands == REACH.commands, "what can be wanted when nothing is said of it"
 
 
 def test_commands_without_effect_are_told_with_the_one_who_holds_the_word() -> None:
@@ -247,9 +285,9 @@ def test_commands_without_effect_are_told_with_the_one_who_holds_the_word() -> N
         assert rig.session.view.trouble is None
         rig.lesson(3, NONE, i)
         rig.report(i, teacher="bob", holder="bob")
-    assert "bob holds the word" in str(rig.session.view.trouble)
+    assert "bob is being obeyed" in str(rig.session.view.trouble)
     assert rig.session.view.exchanges[0].heard is False
-    words = panel.panel(rig.session.view, ANN, TURNS).plain
+    words = panel.panel(rig.session.view, ANN, REACH.commands).plain
     assert f"{WITHOUT_EFFECT - 1} v ahead    ahead    not heard" in words
     assert "word     bob" in words
     rig.lesson(3, NONE, WITHOUT_EFFECT)
@@ -306,16 +344,17 @@ def test_a_router_that_is_gone_is_told() -> None:
     assert session.view.trouble is None
 
 
-def test_captures_are_counted_and_their_rate_is_of_the_last_hundred_iterations() -> None:
+def test_successes_are_counted_and_their_rate_is_of_the_last_hundred_iterations() -> None:
     rig = Rig()
     rig.show(scene(0))
-    assert rig.session.view.captures_per_100 is None
+    assert rig.session.view.successes_per_100 is None
     for i in range(1, 301):
-        rig.show(scene(i, captures=i // 4 if i <= 200 else 50))
-    assert rig.session.view.captures == 50
-    assert rig.session.view.captures_per_100 == 0.0
-    rig.show(scene(400, captures=60))
-    assert rig.session.view.captures_per_100 == pytest.approx(CAPTURES_IN * 10 / 100)
+        rig.show(scene(i, successes=i // 4 if i <= 200 else 50))
+    assert rig.session.view.successes == 50
+    assert rig.session.view.successes_per_100 == 0.0
+    rig.show(scene(400, successes=60))
+    assert rig.session.view.successes_per_100 == pytest.approx(SUCCESSES_IN * 10 / 100)
+    assert "success  60, 10.0 in 100" in panel.panel(rig.session.view, ANN, REACH.commands).plain
 
 
 def test_errors_are_the_mean_of_the_last_reports() -> None:
@@ -342,13 +381,96 @@ def test_latency_is_from_the_command_to_its_action_and_to_its_report() -> None:
     assert latency.perception_to_action_s == 0.05
 
 
-def test_the_trail_is_of_this_episode_and_a_scene_shown_again_adds_nothing() -> None:
-    rig = Rig()
+def test_a_scene_shown_again_adds_nothing() -> None:
+    rig = Rig(auto=True)
     for i in (0, 1, 1, 2):
         rig.show(scene(i))
-    assert [x for x, _ in rig.session.view.trail] == pytest.approx([0.0, 0.1, 0.2])
-    rig.show(scene(3, event="capture", episode=1))
-    assert [x for x, _ in rig.session.view.trail] == pytest.approx([0.3])
+    assert [command for command, _ in rig.said()] == [0, 1, 2]
+    assert rig.judged() == [(0, 1.0), (1, 1.0)]
+    assert rig.session.view.judged == 2
+
+
+def test_what_the_robot_did_is_told_by_the_command_that_it_is_most_like() -> None:
+    rig = Rig()
+    rig.lesson(ORDERED.note(LARGE_LEFT), LARGE_RIGHT, 0)
+    exchange = rig.session.view.exchanges[0]
+    assert (exchange.command, exchange.did, exchange.obeyed) == (LARGE_LEFT, LARGE_RIGHT, False)
+    words = panel.panel(rig.session.view, ANN, REACH.commands).plain
+    assert "0 m left 90  right 90" in words
+    rig.show(scene(1))
+    rig.show(scene(2, did=LARGE_LEFT))
+    silent = rig.session.view.exchanges[0]
+    assert (silent.command, silent.did, silent.obeyed) == (None, LARGE_LEFT, None)
+
+
+def test_a_turn_between_two_commands_is_most_like_the_nearer_one_and_obeys_neither() -> None:
+    rig = Rig()
+    rig.show(scene(0))
+    rig.command(ORDERED.note(LARGE_LEFT))
+    at = placed(AHEAD, 0.1, turned_deg=75.0)
+    rig.show(msgspec.structs.replace(scene(1), action={"turn": 75.0}, reached=at, now=at))
+    exchange = rig.session.view.exchanges[0]
+    assert (exchange.did, exchange.obeyed) == (LARGE_LEFT, False)
+
+
+def test_what_the_robot_did_is_seen_and_not_read_from_its_action() -> None:
+    """A robot whose motors are swapped does not obey, whatever it meant to do."""
+    rig = Rig()
+    rig.show(scene(0))
+    rig.command(ORDERED.note(LARGE_LEFT))
+    rig.show(scene(1, did=LARGE_RIGHT, action={"turn": REACH.turns_deg[LARGE_LEFT]}))
+    assert (rig.session.view.obedience, rig.session.view.exchanges[0].did) == (0.0, LARGE_RIGHT)
+
+
+def test_the_picture_is_shown_as_the_robot_sends_it() -> None:
+    rig = Rig()
+    rig.show(scene(0))
+    assert rig.session.view.picture is None
+    line = messages.Shape(kind="line", points=[(0.0, 0.0), (1.0, 1.0)], what="trail")
+    for i in range(2):
+        one = messages.Picture(iteration=i, drawing=messages.Drawing(shapes=[line], box=(0.0, 0.0, 1.0, i + 1.0)))
+        rig.world.publisher(keys.PICTURE).put(one)
+        rig.step()
+        assert rig.session.view.picture == one
+
+
+WANTS_NOTHING = Named(("faster", "slower", "jump"))
+
+
+def test_where_nothing_is_known_of_what_is_right_commands_are_said_and_nothing_is_thought_of_them() -> None:
+    language = make_language("ordered", WANTS_NOTHING.order)
+    rig = Rig(policy=WANTS_NOTHING, language=language)
+    rig.show(scene(0, now=LEFT))
+    rig.command(2)
+    rig.show(scene(1))
+    rig.judge(0.5, 0)
+    view = rig.session.view
+    assert (rig.said(), rig.judged()) == ([(0, 2)], [(0, 0.5)])
+    exchange = view.exchanges[0]
+    assert (exchange.command, exchange.did, exchange.obeyed, exchange.feedback) == (2, None, None, 0.5)
+    assert (view.wanted, view.obedience, view.judged) == (None, None, 0)
+    assert "0 c jump     …        +0.50" in panel.panel(view, ANN, WANTS_NOTHING.commands).plain
+    assert panel.says(view, WANTS_NOTHING.commands, rig.now, suggest=True).plain == ""
+    assert panel.note_keys(view, WANTS_NOTHING.commands, 80, suggest=True).plain.split() == [
+        "z", "faster", "x", "slower", "c", "jump",
+    ]  # fmt: skip
+
+
+def test_on_its_own_it_is_silent_where_nothing_is_known_of_what_is_right() -> None:
+    rig = Rig(auto=True, policy=WANTS_NOTHING, language=make_language("ordered", WANTS_NOTHING.order))
+    for i in range(3):
+        rig.show(scene(i))
+    assert rig.said() == [(i, None) for i in range(3)]
+    assert rig.judged() == []
+
+
+def test_in_a_scene_without_what_the_policy_looks_at_nothing_is_thought_and_nobody_falls() -> None:
+    rig, place = Rig(), {"pole_rad": 0.1}
+    rig.show(msgspec.structs.replace(scene(0), reached=place, now=place))
+    rig.command(3)
+    rig.show(msgspec.structs.replace(scene(1), action={"push": 1.0}, before=place, reached=place, now=place))
+    exchange = rig.session.view.exchanges[0]
+    assert (exchange.note, exchange.did, exchange.obeyed, rig.session.view.wanted) == (3, None, None, None)
 
 
 def test_another_run_begins_anew() -> None:
@@ -374,16 +496,18 @@ def test_on_its_own_it_teaches_as_the_scripted_teacher_does() -> None:
     commands, feedback = other.subscriber(keys.COMMAND), other.subscriber(keys.FEEDBACK)
     phase = {"start": 0, "name": "all", "teacher": ANN, "language": "reversed"}
     section = msgspec.convert({"phase": [phase]}, TeacherSection)
-    script = ScriptedTeacher(MemoryBus(other.fabric, BRAIN), schedule_of(section, 1, RobotConfig()))
+    script = ScriptedTeacher(MemoryBus(other.fabric, BRAIN), schedule_of(section, 1))
     places = (AHEAD, LEFT, BEHIND, AHEAD)
-    for i, (now, action) in enumerate(zip(places, (NONE, LARGE_LEFT, NONE, 5), strict=True)):
-        before = placement(places[i - 1], 0.1 * (i - 1)) if i else None
-        one = scene(i, now, action, before=before)
+    for i, (now, did) in enumerate(zip(places, (NONE, LARGE_LEFT, LARGE_LEFT, 5), strict=True)):
+        before = placed(places[i - 1], 0.1 * (i - 1)) if i else None
+        one = scene(i, now, did, before=before)
         rig.show(one)
         other.publisher(keys.SCENE).put(one)
         script.step()
+    judged = rig.judged()
     assert rig.said() == [(c.iteration, c.note) for c in iter(commands.take, None)]
-    assert rig.judged() == [(f.iteration, f.value) for f in iter(feedback.take, None)]
+    assert judged == [(f.iteration, f.value) for f in iter(feedback.take, None)]
+    assert len({value for _, value in judged}) == 3, "praise, some, and punishment"
 
 
 def flute() -> Player:
@@ -440,7 +564,7 @@ def test_a_note_heard_through_the_microphone_is_the_teachers() -> None:
     rig.step()
     exchange = rig.session.view.exchanges[0]
     assert (exchange.iteration, exchange.command, exchange.spoke) == (5, LARGE_LEFT, True)
-    rig.show(scene(6, action=LARGE_LEFT))
+    rig.show(scene(6, did=LARGE_LEFT))
     assert rig.session.view.obedience == 1.0
 
 

@@ -17,9 +17,8 @@ BRAIN = "test"
 
 def pair(iteration: int, feedback: float | None = 1.0, **fields: Any) -> messages.Pair:
     plain: dict[str, Any] = {"before": {"distance": float(iteration)}, "after": {"distance": iteration + 0.9}}
-    return messages.Pair(
-        iteration=iteration, note=1, action=2, feedback=feedback, versions={"object": 1}, **(plain | fields)
-    )
+    plain |= {"action": {"turn": 20.0}, "choice": 2}
+    return messages.Pair(iteration=iteration, note=1, feedback=feedback, versions={"object": 1}, **(plain | fields))
 
 
 def stored(iteration: int, *, judged: bool = True) -> messages.PairStored:
@@ -68,7 +67,9 @@ def test_what_was_acknowledged_and_is_not_there_is_lost(tmp_path: Path) -> None:
     assert (told.holds, told.lost) == (False, [1])
 
 
-@pytest.mark.parametrize("kept", [pair(0, after={"distance": 0.5}), pair(0, None), pair(0, -1.0)])
+@pytest.mark.parametrize(
+    "kept", [pair(0, after={"distance": 0.5}), pair(0, action={"turn": 45.0}), pair(0, None), pair(0, -1.0)]
+)
 def test_what_is_there_otherwise_is_altered(tmp_path: Path, kept: messages.Pair) -> None:
     told = compare(heard(tmp_path, pair(0), stored(0)), memory(tmp_path, kept))
     assert (told.holds, told.altered, told.lost) == (False, [0], [])

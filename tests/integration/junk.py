@@ -25,25 +25,33 @@ NAMES = {"teacher": "anna", "model": "object", "role": "robot", "instance": "bod
 FAR = 10**9
 NONE, ONE = np.zeros(0, np.int64), np.zeros(1, np.int64)
 ROW = np.zeros((1, 1), np.float32)
-PLACE = messages.Placement(x_m=0.0, y_m=0.0, heading_rad=0.0, object_x_m=1.0, object_y_m=0.0)
+PLACE = {"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0, "object_x_m": 1.0, "object_y_m": 0.0}
+TURN = {"turn": -20.0}
+"""The choice 1 of the paper's experiment."""
 READING = {"distance": 1.0, "angle": 0.5}
+DRAWING = messages.Drawing(
+    shapes=[messages.Shape(kind="disc", points=[(0.0, 0.0)], radius=0.1)], box=(-1.0, -1.0, 1.0, 1.0)
+)
 SNAPSHOT = messages.MemorySnapshot(model="object", version=FAR, slots=ONE, pairs=ONE, inputs=ROW, targets=ROW)
 MODEL = messages.CurrentModel(
     model="object", version=1, generation=1, layers=[1, 1], weights=np.zeros(2, np.float32), error=0.5
 )
 PAIR = messages.Pair(
-    iteration=0, before=READING, note=1, action=1, after=READING, feedback=1.0, versions={"object": 1}
+    iteration=0, before=READING, note=1, action=TURN, choice=1, after=READING, feedback=1.0, versions={"object": 1}
 )
 GIVEN: tuple[Message, ...] = (
     messages.Perception(iteration=0, event="none", outcome=READING, reading=READING),
-    messages.Action(iteration=0, action=1, valid_for_s=1.0),
+    messages.Action(iteration=0, action=TURN, choice=1, valid_for_s=1.0),
     messages.Scene(
-        iteration=0, episode=0, captures=0, event="none", action=1, before=PLACE, reached=PLACE, now=PLACE
+        iteration=0, episode=0, successes=0, event="none", action=TURN, before=PLACE, reached=PLACE, now=PLACE
     ),
+    messages.Picture(iteration=0, drawing=DRAWING, image=np.zeros((2, 2, 3), np.uint8)),
     messages.Command(teacher="anna", iteration=FAR, note=1),
     messages.Feedback(teacher="anna", iteration=FAR, value=0.5),
     messages.AudioFrame(teacher="anna", iteration=0, rate_hz=16_000, samples=np.zeros(100, np.int16)),
     messages.Phase(iteration=0, name="junk"),
+    messages.Lesson(teacher="anna", iteration=0, commands=["junk"], notes=[0]),
+    messages.Change(settings={"junk": 1.0}),
     PAIR,
     messages.PairStored(iteration=FAR, versions={"object": FAR}),
     messages.MemoryChange(
@@ -59,13 +67,13 @@ GIVEN: tuple[Message, ...] = (
         versions={},
         unjudged=[PAIR],
         notes=ONE,
-        actions=ONE,
+        choices=ONE,
         iterations=ONE,
         judged=[PAIR],
     ),
     messages.IterationReport(
-        iteration=0, mode="junk", action=1, explored=False, predicted=0.5, note=1, feedback=0.5, event="none",
-        prequential={"junk": 0.5}, versions={},
+        iteration=0, mode="junk", action=TURN, choice=1, explored=False, predicted=0.5, note=1, feedback=0.5,
+        event="none", prequential={"junk": 0.5}, versions={},
     ),
     messages.Timing(iteration=0, perception_to_action_s=0.1, cycle_s=0.1),
     messages.Finished(iterations=1),
@@ -156,12 +164,14 @@ def flipped(maker: Maker, row: Key) -> Raw:
 
 
 def another_version(maker: Maker, row: Key) -> Raw:
-    return maker.raw(row, maker.payload(row))._replace(encoding=maker.encoding(row).replace("mdb=1", "mdb=2"))
+    other = maker.one_of("mdb=1", f"mdb={codec.VERSION + 1}", f"mdb={codec.VERSION}.")
+    encoding = maker.encoding(row).replace(f"mdb={codec.VERSION}", other)
+    return maker.raw(row, maker.payload(row))._replace(encoding=encoding)
 
 
 def another_encoding(maker: Maker, row: Key) -> Raw:
     encoding = maker.one_of(
-        "", "text/plain", "application/msgpack;mdb=1;Stranger", "x" * 255
+        "", "text/plain", f"application/msgpack;mdb={codec.VERSION};Stranger", "x" * 255
     )  # Zenoh sends no longer ones
     return maker.raw(row, maker.payload(row))._replace(encoding=encoding)
 

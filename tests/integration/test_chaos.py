@@ -63,7 +63,7 @@ def test_a_lockstep_run_with_kills_ends_as_the_one_without(tmp_path: Path, seed:
     assert pairs_of(report.run) == pairs_of(tmp_path / "straight")
     state = StateFile(report.run / ROBOT_FILE).read()
     assert state is not None
-    assert state.scene.captures == read_record(tmp_path / "straight").captures[-1]
+    assert state.scene.successes == read_record(tmp_path / "straight").successes[-1]
 
 
 @pytest.mark.slow

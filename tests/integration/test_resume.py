@@ -19,13 +19,21 @@ from mdb_services.memory.file import MemoryFile
 from mdb_services.memory.store import MemoryStore
 from mdb_services.recorder import read_log
 from mdb_services.shell.service import Service, announce
-from mdb_sim.runs.experiment import Experiment
+from mdb_sim.robot.service import RobotService
+from mdb_sim.robot.state_file import StateFile
+from mdb_sim.runs.experiment import ROBOT_FILE, Experiment
 from tests.integration.brain import SHORT, Brain, mdb, until
 
 ROUNDS = 20_000
 """Bound on rounds of steps; a run takes about a thousand."""
 IMPATIENT = ("optimizer.resend_s=0.001", "optimizer.action_valid_s=60.0")
 """What is lost with a service comes again at once: the rounds of a test are shorter than those of processes."""
+
+
+def robot_service(experiment: Experiment, bus: MemoryBus, run: Path) -> RobotService:
+    """A robot that keeps where it is, as its process does, but acts within its step: each round is the same."""
+    file = StateFile(run / ROBOT_FILE)
+    return RobotService(bus, experiment.body(), experiment.robot.rules, experiment.brain.experiment.seed, file=file)
 
 
 class Mortal:
@@ -38,7 +46,7 @@ class Mortal:
         self._builders: dict[str, Callable[[MemoryBus], Service]] = {
             "memory": lambda bus: MemoryStore(bus, brain, MemoryFile(run / MEMORY_FILE)),
             **{m.name: lambda bus, m=m: Evolver(bus, brain, m.name) for m in brain.model},  # type: ignore[misc]
-            "robot": lambda bus: experiment.robot_service(bus, run),
+            "robot": lambda bus: robot_service(experiment, bus, run),
             "teacher": experiment.teacher_service,
             "optimizer": lambda bus: Optimizer(bus, brain),
         }
@@ -99,7 +107,7 @@ def lived(experiment: Experiment, run: Path, deaths: float = 0.0, seed: int = 0)
         "pairs": stored_pairs(run),
         "changes": changes,
         "models": models,
-        "captures": brain.services["robot"].values()["captures"],
+        "successes": brain.services["robot"].values()["successes"],
         "reports": reports,
     }, killed
 

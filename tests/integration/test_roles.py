@@ -33,7 +33,7 @@ BOUND_S = 10.0
 
 
 class Place(NamedTuple):
-    """A router with keys: brains pioneer and other, teachers anna and bert, viewer tom."""
+    """A router with keys: brains pioneer and other, teachers anna and bert, viewer tom, operator olga."""
 
     folder: KeyFolder
     endpoint: str
@@ -62,6 +62,7 @@ def make_folder(path: Path) -> KeyFolder:
     for name in ("anna", "bert"):
         folder.add(Role.TEACHER, name, BRAIN)
     folder.add(Role.VIEWER, "tom", BRAIN)
+    folder.add(Role.OPERATOR, "olga", BRAIN)
     return folder
 
 
@@ -171,14 +172,27 @@ def passed(session: zenoh.Session, ear: Ear) -> None:
 MODEL = messages.CurrentModel(
     model="object", version=1, generation=1, layers=[4, 1], weights=np.zeros(5, np.float32), error=0.0
 )
-ACTION = messages.Action(iteration=1, action=3, valid_for_s=1.0)
+ACTION = messages.Action(iteration=1, action={"turn": -90.0}, choice=3, valid_for_s=1.0)
 PAIR = messages.Pair(
-    iteration=1, before={}, note=1, action=1, after={}, feedback=1.0, versions={}, teacher="anna", judges=["anna"]
+    iteration=1, before={}, note=1, action={"turn": -20.0}, choice=1, after={}, feedback=1.0, versions={},
+    teacher="anna", judges=["anna"],
+)  # fmt: skip
+SCENE = messages.Scene(
+    iteration=1, episode=0, successes=0, event="none", action=None, before=None, reached={"x": 1.0}, now={"x": 1.0}
 )
+PICTURE = messages.Picture(iteration=1)
+CHANGE = messages.Change(settings={"swapped": True})
 FORBIDDEN: dict[str, tuple[str, Message]] = {
     "an action": (keys.ACTION.at(BRAIN), ACTION),
     "a model": (keys.CURRENT_MODEL.at(BRAIN, model="object"), MODEL),
     "a pair": (keys.PAIR.at(BRAIN), PAIR),
+    "a scene": (keys.SCENE.at(BRAIN), SCENE),
+    "a picture": (keys.PICTURE.at(BRAIN), PICTURE),
+    "a change of the robot": (keys.CHANGE.at(BRAIN), CHANGE),
+    "another teacher's lesson": (
+        keys.LESSON.at(BRAIN, teacher="bert"),
+        messages.Lesson(teacher="bert", iteration=1, commands=["go"], notes=[0]),
+    ),
     "another teacher's command": (keys.COMMAND.at(BRAIN, teacher="bert"), command(1, "bert")),
     "another teacher's feedback": (
         keys.FEEDBACK.at(BRAIN, teacher="bert"),
@@ -256,6 +270,17 @@ def test_neither_a_viewer_nor_another_teacher_writes_for_anna(name: str, place: 
         assert ear.heard() == [keys.COMMAND.at(BRAIN, teacher="anna")]
 
 
+def test_an_operator_changes_the_robot_and_writes_nothing_else(place: Place, ear: Ear) -> None:
+    rows = [row for row in keys.KEYS if row.message is not None and row is not keys.CHANGE]
+    others = [row.at(BRAIN, **dict.fromkeys(row.parameters, "anna")) for row in rows]
+    with place.session("olga") as olga:
+        kept = [put_so(olga, key, command(1)) for key in others for put_so in PUTS]
+        kept.append(put(olga, keys.CHANGE.at("other"), CHANGE))
+        put(olga, keys.CHANGE.at(BRAIN), CHANGE)
+        passed(olga, ear)
+        assert ear.heard() == [keys.CHANGE.at(BRAIN)]
+
+
 def test_nobody_else_is_present_in_anothers_name(place: Place, ear: Ear) -> None:
     tokens = []  # one that is let go of is withdrawn
     with place.session("anna") as anna, place.session("tom") as tom:
@@ -274,6 +299,7 @@ def test_a_teacher_is_heard_in_all_that_is_his(place: Place) -> None:
     said: list[tuple[Key, Message]] = [
         (keys.COMMAND, command(3)),
         (keys.FEEDBACK, messages.Feedback(teacher="anna", iteration=3, value=0.5)),
+        (keys.LESSON, messages.Lesson(teacher="anna", iteration=3, commands=["go"], notes=[0])),
         (keys.AUDIO, sound),
     ]
     with place.bus(BRAIN) as brain, place.bus("anna") as anna:
@@ -289,13 +315,14 @@ def test_a_teacher_is_heard_in_all_that_is_his(place: Place) -> None:
 
 def report(iteration: int) -> messages.IterationReport:
     return messages.IterationReport(
-        iteration=iteration, mode="taught", action=1, explored=False, predicted=None, note=1, feedback=None,
-        event="none", prequential={}, versions={},
+        iteration=iteration, mode="taught", action={"turn": -20.0}, choice=1, explored=False, predicted=None, note=1,
+        feedback=None, event="none", prequential={}, versions={},
     )  # fmt: skip
 
 
-def test_a_teacher_reads_scene_reports_and_status_but_no_models(place: Place, ear: Ear) -> None:
+def test_a_teacher_reads_scene_picture_reports_and_status_but_no_models(place: Place, ear: Ear) -> None:
     with place.bus("anna") as anna:
+        scenes, pictures = anna.subscriber(keys.SCENE), anna.subscriber(keys.PICTURE)
         models, reports = anna.subscriber(keys.CURRENT_MODEL), anna.subscriber(keys.ITERATION)
         commands, heard = anna.subscriber(keys.COMMAND, teacher="bert"), anna.subscriber(keys.HEARD, teacher="bert")
         snapshot = messages.MemorySnapshot(
@@ -315,6 +342,9 @@ def test_a_teacher_reads_scene_reports_and_status_but_no_models(place: Place, ea
         ear.bus.publisher(keys.ITERATION).put(report(7))
         assert next_of(anna, reports) == report(7)
         assert [inbox.take() for inbox in (models, commands, heard)] == [None, None, None]
+        for row, inbox, message in ((keys.SCENE, scenes, SCENE), (keys.PICTURE, pictures, PICTURE)):
+            ear.bus.publisher(row).put(message)
+            assert next_of(anna, inbox) == message
     with place.bus("tom") as tom, place.bus(BRAIN) as late:
         assert next_of(tom, tom.subscriber(keys.CURRENT_MODEL)) is not None, "a viewer reads it"
         assert next_of(late, late.subscriber(keys.CURRENT_MODEL)) is not None

@@ -18,16 +18,31 @@ NAMES = st.text("abcXYZ019_.-", min_size=1, max_size=64)
 COUNTS = st.integers(0, 2**53)
 FLOATS = st.floats(-1e6, 1e6)
 ANY_FLOATS = st.floats(allow_nan=False, allow_infinity=False)
-EVENTS = st.sampled_from(["none", "capture", "bump", "lost", "timeout"])
-READINGS = st.dictionaries(NAMES, FLOATS, max_size=4)
+EVENTS = st.sampled_from([messages.NOTHING, "capture", "lost", "my-own.word_2"]) | NAMES
+READINGS = st.dictionaries(NAMES, FLOATS | st.lists(FLOATS, max_size=5), max_size=4)
+"""What sensors gave: numbers, and vectors of them."""
+VALUES = st.dictionaries(NAMES, FLOATS, max_size=4)
+"""Of actuators, or of what is true in a scene."""
 VERSIONS = st.dictionaries(NAMES, COUNTS, max_size=4)
 NOTES = st.none() | st.integers(0, 127)
-ACTIONS = st.integers(0, 1023)
+CHOICES = st.none() | st.integers(0, 1023)
 SHARES = st.floats(-1, 1)
 TEXTS = st.text(max_size=20)
-PLACEMENTS = st.builds(
-    messages.Placement, x_m=FLOATS, y_m=FLOATS, heading_rad=FLOATS, object_x_m=FLOATS, object_y_m=FLOATS
+SHAPES = st.builds(
+    messages.Shape,
+    kind=st.sampled_from(["line", "circle", "disc", "cross", "words"]),
+    points=st.lists(st.tuples(FLOATS, FLOATS), min_size=1, max_size=4),
+    radius=st.floats(0, 1e6),
+    what=st.sampled_from(["robot", "thing", "trail", "sensed", "wall", "ground"]),
+    words=TEXTS,
 )
+SIDES = st.tuples(FLOATS, FLOATS).map(sorted).filter(lambda side: side[0] < side[1])
+BOXES = st.tuples(SIDES, SIDES).map(lambda sides: (sides[0][0], sides[1][0], sides[0][1], sides[1][1]))
+"""Left, low, right, high."""
+DRAWINGS = st.builds(
+    messages.Drawing, shapes=st.lists(SHAPES, max_size=3), box=BOXES, front_rad=st.none() | st.floats(-4, 4)
+)
+IMAGES = st.tuples(st.integers(1, 9), st.integers(1, 9)).flatmap(lambda size: hnp.arrays(np.uint8, (*size, 3)))
 
 
 def floats(shape: Any) -> st.SearchStrategy[np.ndarray]:
@@ -93,12 +108,14 @@ PAIRS = st.builds(
     iteration=COUNTS,
     before=READINGS,
     note=NOTES,
-    action=ACTIONS,
+    action=VALUES,
+    choice=CHOICES,
     after=READINGS,
     feedback=st.none() | SHARES,
     versions=VERSIONS,
     teacher=st.none() | NAMES,
     judges=st.lists(NAMES, max_size=3),
+    best=st.none() | SHARES,
 )
 INTENTIONS = st.builds(
     messages.Intention,
@@ -114,7 +131,8 @@ INTENTIONS = st.builds(
 ACTION_MESSAGES = st.builds(
     messages.Action,
     iteration=COUNTS,
-    action=ACTIONS,
+    action=VALUES,
+    choice=CHOICES,
     valid_for_s=st.floats(0, 3600, exclude_min=True),
     stamp=FLOATS,
     intention=st.none() | INTENTIONS,
@@ -163,12 +181,17 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         messages.Scene,
         iteration=COUNTS,
         episode=COUNTS,
-        captures=COUNTS,
+        successes=COUNTS,
         event=EVENTS,
-        action=st.none() | ACTIONS,
-        before=st.none() | PLACEMENTS,
-        reached=PLACEMENTS,
-        now=PLACEMENTS,
+        action=st.none() | VALUES,
+        before=st.none() | VALUES,
+        reached=VALUES,
+        now=VALUES,
+        success=st.booleans(),
+        ended=st.booleans(),
+    ),
+    messages.Picture: st.builds(
+        messages.Picture, iteration=COUNTS, drawing=st.none() | DRAWINGS, image=st.none() | IMAGES
     ),
     messages.Action: ACTION_MESSAGES,
     messages.Command: st.builds(messages.Command, teacher=NAMES, iteration=COUNTS, note=NOTES),
@@ -205,7 +228,7 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
             unjudged=st.lists(PAIRS, max_size=2),
             judged=st.lists(PAIRS, max_size=2),
             notes=indices(n),
-            actions=indices(n),
+            choices=indices(n),
             iterations=indices(n),
         )
     ),
@@ -224,13 +247,14 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         messages.IterationReport,
         iteration=COUNTS,
         mode=NAMES,
-        action=ACTIONS,
+        action=VALUES,
+        choice=CHOICES,
         explored=st.booleans(),
         predicted=st.none() | FLOATS,
         note=NOTES,
         feedback=st.none() | SHARES,
         event=EVENTS,
-        prequential=READINGS,
+        prequential=VALUES,
         versions=VERSIONS,
         teacher=st.none() | NAMES,
         judges=st.lists(NAMES, max_size=3),
@@ -253,12 +277,31 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
 }
 
+SAMPLES[messages.Change] = st.builds(
+    messages.Change,
+    settings=st.dictionaries(
+        NAMES,
+        st.booleans() | st.integers(-1000, 1000) | FLOATS | st.lists(st.integers(0, 15) | FLOATS, max_size=3) | TEXTS,
+        min_size=1,
+        max_size=4,
+    ),
+)
+SAMPLES[messages.Lesson] = st.lists(st.integers(0, 127), unique=True, max_size=5).flatmap(
+    lambda notes: st.builds(
+        messages.Lesson,
+        teacher=NAMES,
+        iteration=COUNTS,
+        notes=st.just(notes),
+        commands=st.lists(TEXTS, min_size=len(notes), max_size=len(notes)),
+        over=st.booleans(),
+    )
+)
 SAMPLES[messages.RobotState] = st.builds(
     messages.RobotState,
     perception=SAMPLES[messages.Perception],
     scene=SAMPLES[messages.Scene],
-    episode_age=COUNTS,
-    unseen=COUNTS,
+    age=COUNTS,
+    body=st.none() | st.binary(max_size=20),
 )
 
 ON_DISK: set[type[Message]] = {messages.LongTermModel, messages.LongTermFile, messages.RobotState}

@@ -16,7 +16,7 @@ BRAIN = "test"
 
 
 def action(iteration: int) -> messages.Action:
-    return messages.Action(iteration=iteration, action=1, valid_for_s=1.0)
+    return messages.Action(iteration=iteration, action={"turn": 20.0}, choice=1, valid_for_s=1.0)
 
 
 def raw_action(iteration: int) -> Raw:

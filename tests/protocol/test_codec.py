@@ -47,15 +47,21 @@ def accepted(cls: type[Message], payload: bytes) -> Message | None:
 def packed(cls: type[Message], **fields: Any) -> bytes:
     """The bytes of a valid message with some fields put to what no class would let through."""
     plain = {
-        messages.Action: {"iteration": 1, "action": 1, "valid_for_s": 1.0},
+        messages.Action: {"iteration": 1, "action": {"turn": 1.0}, "valid_for_s": 1.0},
         messages.Command: {"teacher": "anna", "iteration": 1, "note": 1},
         messages.Feedback: {"teacher": "anna", "iteration": 1, "value": 0.5},
         messages.Perception: {"iteration": 1, "event": "none", "outcome": {}, "reading": {"distance": 1.0}},
         messages.Pair: {
-            "iteration": 1, "before": {}, "note": 1, "action": 1, "after": {}, "feedback": 1.0, "versions": {},
+            "iteration": 1, "before": {}, "note": 1, "action": {"turn": 1.0}, "after": {}, "feedback": 1.0,
+            "versions": {},
         },
+        messages.Scene: {
+            "iteration": 1, "episode": 1, "successes": 0, "event": "none", "action": {"turn": 1.0},
+            "before": {"x": 1.0}, "reached": {"x": 1.0}, "now": {"x": 1.0},
+        },
+        messages.Picture: {"iteration": 1},
         messages.IterationReport: {
-            "iteration": 1, "mode": "m", "action": 1, "explored": False, "predicted": 0.5, "note": None,
+            "iteration": 1, "mode": "m", "action": {"turn": 1.0}, "explored": False, "predicted": 0.5, "note": None,
             "feedback": None, "event": "none", "prequential": {}, "versions": {},
         },
         messages.Timing: {"iteration": 1, "perception_to_action_s": 0.1, "cycle_s": 0.1},
@@ -85,6 +91,14 @@ def packed(cls: type[Message], **fields: Any) -> bytes:
 
 def array(dtype: Any, shape: Any, raw: Any) -> msgpack.ExtType:
     return msgpack.ExtType(codec.ARRAY_EXT, msgpack.packb([dtype, shape, raw]))
+
+
+def shape(**fields: Any) -> dict[str, Any]:
+    return {"kind": "line", "points": [[0.0, 0.0], [1.0, 1.0]]} | fields
+
+
+def drawing(**fields: Any) -> dict[str, Any]:
+    return {"shapes": [shape()], "box": [0.0, 0.0, 1.0, 1.0]} | fields
 
 
 def weights_of(value: float) -> dict[str, Any]:
@@ -175,11 +189,66 @@ def test_unknown_fields_are_accepted_and_other_encodings_refused(cls: type[Messa
         newer = msgpack.packb(msgpack.unpackb(payload) | {"field_of_tomorrow": [1, {"a": 2}]})
         right = codec.encoding_of(cls)
         assert same(codec.decode(cls, newer, right), message)
-        for wrong in ("", "text/plain", right.replace("mdb=1", "mdb=2"), right + "x", right.lower()):
+        for wrong in ("", "text/plain", of_version(cls, codec.VERSION - 1), right + "x", right.lower()):
             with pytest.raises(DecodeError, match="encoding is"):
                 codec.decode(cls, payload, wrong)
 
     check()
+
+
+def of_version(cls: type[Message], version: Any) -> str:
+    """The encoding of a message class in another version of the protocol."""
+    return codec.encoding_of(cls).replace(f"mdb={codec.VERSION};", f"mdb={version};")
+
+
+def test_the_version_is_in_the_encoding() -> None:
+    assert codec.encoding_of(messages.Finished) == "application/msgpack;mdb=2;Finished"
+
+
+@fixed
+@given(st.sampled_from(TYPES), st.integers(0, 10**9), st.data())
+def test_a_minor_version_of_this_protocol_is_read(cls: type[Message], minor: int, data: st.DataObject) -> None:
+    message = data.draw(SAMPLES[cls])
+    newer = msgpack.packb(msgpack.unpackb(codec.encode(message)) | {"field_of_tomorrow": [1, {"a": 2}]})
+    assert same(codec.decode(cls, newer, of_version(cls, f"{codec.VERSION}.{minor}")), message)
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    [
+        *(f"application/msgpack;mdb={version};Finished" for version in (
+            "", "0", "1", "3", "1.2", "3.0", "22", "2.", ".2", "2.x", "2.-1", "2.+1", "2.1.1", "2. 1", " 2.1", "2.1 ",
+            "2,1", "2.1;mdb=2.1", "02.1",
+        )),
+        "application/msgpack;mdb=2.1;Phase",
+        "application/msgpack;mdb=2.1;",
+        "application/msgpack;mdb=2.1",
+        "application/msgpack;mdb=2.1;Finished;",
+        "application/msgpack;mdb=2.1;Finished\n",
+        "application/msgpack;MDB=2.1;Finished",
+        "text/plain;mdb=2.1;Finished",
+        "mdb=2.1;Finished",
+    ],
+)  # fmt: skip
+def test_any_other_version_and_what_is_none_is_refused(encoding: str) -> None:
+    payload = packed(messages.Finished)
+    assert accepted(messages.Finished, payload) is not None
+    with pytest.raises(DecodeError, match="encoding is"):
+        codec.decode(messages.Finished, payload, encoding)
+
+
+@fixed
+@given(st.text("2.0;mdb=Fxyz", max_size=12))
+def test_no_other_words_in_the_place_of_the_version_are_taken_for_one(words: str) -> None:
+    encoding = f"application/msgpack;mdb={words};Finished"
+    major, dot, minor = words.partition(".")
+    is_version = major == "2" and (not dot or minor.isdecimal())
+    try:
+        codec.decode(messages.Finished, packed(messages.Finished), encoding)
+    except DecodeError:
+        assert not is_version
+    else:
+        assert is_version
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -192,6 +261,21 @@ def test_unknown_fields_are_accepted_and_other_encodings_refused(cls: type[Messa
         (messages.Feedback, lambda v: {"value": v}),
         (messages.Perception, lambda v: {"reading": {"distance": v}}),
         (messages.Perception, lambda v: {"outcome": {"distance": v}}),
+        (messages.Perception, lambda v: {"reading": {"sonar": [0.0, v]}}),
+        (messages.Perception, lambda v: {"outcome": {"sonar": [v]}}),
+        (messages.Action, lambda v: {"action": {"turn": v}}),
+        (messages.Pair, lambda v: {"action": {"turn": 0.0, "speed": v}}),
+        (messages.Pair, lambda v: {"after": {"sonar": [0.0, v]}}),
+        (messages.IterationReport, lambda v: {"action": {"turn": v}}),
+        (messages.Scene, lambda v: {"action": {"turn": v}}),
+        (messages.Scene, lambda v: {"before": {"x": v}}),
+        (messages.Scene, lambda v: {"reached": {"x": v}}),
+        (messages.Scene, lambda v: {"now": {"x": v}}),
+        (messages.Picture, lambda v: {"drawing": drawing(box=[v, 0.0, 1.0, 1.0])}),
+        (messages.Picture, lambda v: {"drawing": drawing(box=[0.0, 0.0, 1.0, v])}),
+        (messages.Picture, lambda v: {"drawing": drawing(front_rad=v)}),
+        (messages.Picture, lambda v: {"drawing": drawing(shapes=[shape(points=[[0.0, 0.0], [0.0, v]])])}),
+        (messages.Picture, lambda v: {"drawing": drawing(shapes=[shape(radius=v)])}),
         (messages.Pair, lambda v: {"before": {"distance": v}}),
         (messages.Pair, lambda v: {"feedback": v}),
         (messages.CurrentModel, lambda v: {"error": v}),
@@ -335,10 +419,104 @@ def test_a_payload_that_stands_for_much_memory_is_refused_before_it_takes_it(pay
 
 def test_more_items_than_any_message_has_are_refused() -> None:
     for count, taken in ((256, True), (257, False)):
-        reading = {f"sensor{i}": 1.0 for i in range(count)}
+        reading = {f"sensor{i}": [1.0] for i in range(count)}
         judges = ["anna"] * count
         assert (accepted(messages.Perception, packed(messages.Perception, reading=reading)) is not None) == taken
         assert (accepted(messages.Pair, packed(messages.Pair, judges=judges)) is not None) == taken
+
+
+@pytest.mark.parametrize("reading", [{}, {"sonar": []}, {"sonar": [1.0, 2]}, {"sonar": [0.5] * 4096, "distance": 1}])
+def test_what_a_sensor_gives_is_a_number_or_a_vector(reading: dict[str, Any]) -> None:
+    message = accepted(messages.Perception, packed(messages.Perception, reading=reading))
+    assert isinstance(message, messages.Perception)
+    assert message.reading == reading
+
+
+@pytest.mark.parametrize(
+    "value", [None, "1", True, b"1", {}, {"a": 1.0}, [[1.0]], [None], ["1"], [0.5] * 4097, [1e6 + 1], -1e7]
+)
+def test_what_no_sensor_gives_is_refused(value: Any) -> None:
+    for cls, field in ((messages.Perception, "reading"), (messages.Perception, "outcome"), (messages.Pair, "before")):
+        assert accepted(cls, packed(cls, **{field: {"sonar": 1.0}})) is not None
+        assert accepted(cls, packed(cls, **{field: {"sonar": value}})) is None
+
+
+@pytest.mark.parametrize("cls", [messages.Action, messages.Pair, messages.IterationReport, messages.Scene])
+def test_an_action_is_a_number_for_each_actuator(cls: type[Message]) -> None:
+    many = {f"joint{i}": 0.5 for i in range(256)}
+    for action in ({"turn": -20.0}, {"turn": 0}, {"left": 0.5, "right": -1e6}, many):
+        message = accepted(cls, packed(cls, action=action))
+        assert message is not None
+        assert message.action == action  # type: ignore[attr-defined]
+    bad = (1, [1.0], {"turn": [1.0]}, {"turn": None}, {"turn": "left"}, {"turn": True}, {"turn": 2e6}, {"a/b": 1.0})
+    for action in (*bad, {1: 1.0}, many | {"more": 0.5}):
+        assert accepted(cls, packed(cls, action=action)) is None
+
+
+@pytest.mark.parametrize("cls", [messages.Action, messages.Pair, messages.IterationReport])
+def test_a_choice_is_an_index_or_none(cls: type[Message]) -> None:
+    assert accepted(cls, packed(cls)).choice is None  # type: ignore[union-attr]
+    for choice in (None, 0, 1023):
+        assert accepted(cls, packed(cls, choice=choice)).choice == choice  # type: ignore[union-attr]
+    for bad in (-1, 1024, 0.0, True, "0"):
+        assert accepted(cls, packed(cls, choice=bad)) is None
+
+
+@pytest.mark.parametrize(
+    ("event", "taken"), [("capture", True), ("my-own.word_2", True), ("", False), ("a b", False)]
+)
+def test_an_event_is_any_word(event: str, taken: bool) -> None:
+    for cls in (messages.Perception, messages.Scene, messages.IterationReport):
+        assert (accepted(cls, packed(cls, event=event)) is not None) == taken
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"kind": "square"}, {"what": "cat"}, {"points": []}, {"points": [[0.0]]}, {"points": [[0.0, 0.0, 0.0]]},
+        {"points": [[0.0, 2e6]]}, {"points": [[0.0, 0.0]] * 1001}, {"radius": -0.1}, {"radius": 2e6},
+        {"words": "x" * 101},
+    ],
+)  # fmt: skip
+def test_shapes_that_cannot_be_drawn_are_refused(fields: dict[str, Any]) -> None:
+    assert accepted(messages.Picture, packed(messages.Picture, drawing=drawing())) is not None
+    assert accepted(messages.Picture, packed(messages.Picture, drawing=drawing(shapes=[shape(**fields)]))) is None
+
+
+def test_drawings_without_an_inside_and_of_too_many_shapes_are_refused() -> None:
+    for box in (
+        [0.0, 0.0, 0.0, 1.0],
+        [0.0, 0.0, 1.0, 0.0],
+        [1.0, 0.0, 0.0, 1.0],
+        [0.0, 0.0, 1.0],
+        [0.0, 0.0, 1.0, 2e6],
+    ):
+        assert accepted(messages.Picture, packed(messages.Picture, drawing=drawing(box=box))) is None
+    for count, taken in ((0, True), (1000, True), (1001, False)):
+        payload = packed(messages.Picture, drawing=drawing(shapes=[shape()] * count))
+        assert (accepted(messages.Picture, payload) is not None) == taken
+
+
+@pytest.mark.parametrize(
+    ("shape_of", "dtype", "taken"),
+    [
+        ((1, 1, 3), "|u1", True),
+        ((256, 256, 3), "|u1", True),
+        ((257, 1, 3), "|u1", False),
+        ((1, 257, 3), "|u1", False),
+        ((1, 1, 4), "|u1", False),
+        ((1, 1, 1), "|u1", False),
+        ((1, 3), "|u1", False),
+        ((1, 1, 3), "<i2", False),
+        ((1, 1, 3), "<f4", False),
+        ((0, 5, 3), "|u1", False),
+        ((5, 0, 3), "|u1", False),
+    ],
+    ids=str,
+)
+def test_an_image_is_some_rows_and_columns_of_three_bytes(shape_of: Any, dtype: str, taken: bool) -> None:
+    image = array(dtype, list(shape_of), np.zeros(shape_of, dtype).tobytes())
+    assert (accepted(messages.Picture, packed(messages.Picture, image=image)) is not None) == taken
 
 
 def test_numbers_that_are_no_counts_are_refused() -> None:

@@ -65,7 +65,7 @@ def test_every_message_lies_on_exactly_the_rows_expected() -> None:
         cls for cls in vars(messages).values()
         if isinstance(cls, type) and issubclass(cls, messages.Message) and cls is not messages.Message
     ]  # fmt: skip
-    parts = {"Placement", "ModelWeights", "Intention"} | {cls.__name__ for cls in ON_DISK}
+    parts = {"Shape", "Drawing", "ModelWeights", "Intention"} | {cls.__name__ for cls in ON_DISK}
     twice = {"Command": 2, "CurrentModel": 2}
     assert rows == {cls.__name__: twice.get(cls.__name__, 1) for cls in classes if cls.__name__ not in parts}
     assert [row.path for row in KEYS if row.message is None] == ["alive/{role}/{instance}"]

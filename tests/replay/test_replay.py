@@ -118,10 +118,10 @@ def tampered(run: Run, path: str, number: int, **fields: object) -> Run:
 
 
 def test_what_was_changed_in_a_log_is_named() -> None:
-    run = tampered(GOLDEN_RUNS["paper"], "pair", 7, action=6, feedback=None)
+    run = tampered(GOLDEN_RUNS["paper"], "pair", 7, action={"turn": 77.0}, choice=6, feedback=None)
     found = replay(run, "optimizer", within(TOLERANCE)).difference
     assert found is not None
-    assert found.startswith("pair, value 8 (iteration 7): action is ")
+    assert found.startswith("pair, value 8 (iteration 7): action.turn is 77.0 in the log, ")
     assert found.endswith(" in the replay")
     heard = replay(run, "memory", within(TOLERANCE)).difference
     assert heard is not None, "the store heard something else, and says something else"

@@ -12,20 +12,23 @@ from tests.services.small import BRAIN
 
 NAME = "communication"
 CAPACITY = 8
+TURNS = 0.0, 90.0
+"""What each choice turns by."""
 
 CONTENT: dict[str, Any] = {
     "experiment": {"name": "languages", "brain": BRAIN, "iterations": 100, "seed": 3, "pace": "lockstep"},
     "channels": {
         "note": {"encoding": "one_hot", "size": 2},
-        "action": {"encoding": "rank", "values": [0, 90]},
+        "action": {"encoding": "rank", "by": "turn"},
         "feedback": {"low": -1.0, "high": 1.0},
     },
+    "actuators": {"turn": {"low": -90.0, "high": 90.0}},
+    "choice": [{"name": f"turn {turn:g}", "values": {"turn": turn}} for turn in TURNS],
     "model": [
         {"name": NAME, "role": "world", "inputs": ["note", "action"], "outputs": ["feedback"], "hidden": [4],
          "capacity": CAPACITY},
     ],
     "mode": [{"name": "taught", "world": NAME, "satisfaction": "feedback"}],
-    "optimizer": {"actions": 2},
     "context": {"known_pairs": 4},
     "long_term": {"stable_pairs": 6, "sample": 4},
     "evolution": {"population": 40, "generations": 3},
@@ -38,7 +41,7 @@ def config(**sections: dict[str, Any]) -> BrainConfig:
 
 
 def _agree(sign: float) -> Network:
-    """+sign when the note is the action's index, otherwise -sign: two hidden units, nearly exact."""
+    """+sign when the note is the choice, otherwise -sign: two hidden units, nearly exact."""
     hidden = [[-5, 5, 5, -5], [5, -5, -5, -5]]
     return Network([np.array(hidden), np.array([[sign, sign, sign]])])
 
@@ -52,23 +55,24 @@ SPEAKS: dict[str, Network] = {
 """A: do what the note says; B: the opposite; C: whatever is done is wrong; silence: no language at all."""
 
 
-def feedback(language: str, note: int, action: int) -> float:
-    right = {"A": note == action, "B": note != action, "C": False}[language]
+def feedback(language: str, note: int, choice: int) -> float:
+    right = {"A": note == choice, "B": note != choice, "C": False}[language]
     return 1.0 if right else -1.0
 
 
-def pair(iteration: int, language: str) -> messages.Pair:
-    """The pair of an iteration: all four combinations, one after the other."""
-    note, action = iteration % 2, iteration // 2 % 2
-    return messages.Pair(
-        iteration=iteration,
-        before={},
-        note=note,
-        action=action,
-        after={},
-        feedback=feedback(language, note, action),
-        versions={},
-    )
+def done(choice: int) -> dict[str, float]:
+    """The values of the actuators that a choice stands for."""
+    return {"turn": TURNS[choice]}
+
+
+def pair(
+    iteration: int, language: str, *, note: int | None = None, choice: int | None = None, **fields: Any
+) -> messages.Pair:
+    """The pair of an iteration: unless told, all four combinations of note and choice, one after the other."""
+    note = iteration % 2 if note is None else note
+    choice = iteration // 2 % 2 if choice is None else choice
+    plain: dict[str, Any] = {"before": {}, "after": {}, "feedback": feedback(language, note, choice), "versions": {}}
+    return messages.Pair(iteration=iteration, note=note, action=done(choice), choice=choice, **(plain | fields))
 
 
 def current(network: Network, version: int) -> messages.CurrentModel:

@@ -15,7 +15,7 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.evolver import Evolver
 from mdb_services.experiment.brain import BrainConfig, brain_config
 from mdb_services.mechanism.networks.network import Network
-from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, content, model
+from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, config_of_vectors, content, model
 
 NAME, CAPACITY, GENERATIONS = "object", 4, 2
 
@@ -111,6 +111,19 @@ def test_each_version_gets_its_generations_and_a_model() -> None:
         assert (learnt.layers[0], learnt.layers[-1]) == (2, 1)
     assert rig.evolver.values()["behind"] == 0
     assert rig.asked == 1
+
+
+def test_a_model_of_vectors_has_all_their_numbers_in_its_layers() -> None:
+    rig = Rig(config_of_vectors())
+    random, rig.version = np.random.default_rng(0), 3
+    rig.snapshot_fields = {
+        "slots": np.arange(3), "pairs": np.arange(3),
+        "inputs": random.uniform(-1, 1, (3, 4)).astype(np.float32),
+        "targets": random.uniform(-1, 1, (3, 3)).astype(np.float32),
+    }  # fmt: skip
+    (learnt,) = rig.settle()
+    assert (learnt.layers[0], learnt.layers[-1]) == (4, 3)
+    assert learnt.version == 3
 
 
 @pytest.mark.parametrize(("learner", "generations"), [({"name": "adam", "steps": 3}, 3), ({"name": "ridge"}, 1)])

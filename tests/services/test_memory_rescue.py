@@ -180,3 +180,11 @@ def test_where_nothing_can_be_opened_it_is_not_called_damage(tmp_path: Path) -> 
     with pytest.raises(MdbError, match="Is the disk full") as caught:
         MemoryFile(tmp_path / "no" / "such" / "folder" / "memory.sqlite")
     assert not isinstance(caught.value, DamageError)
+
+
+def test_a_file_of_the_first_version_of_the_protocol_is_named_as_such(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "memory.sqlite") as old:
+        old.execute("CREATE TABLE pair (iteration INTEGER PRIMARY KEY, payload BLOB, stored BLOB, note, action)")
+    old.close()
+    with pytest.raises(MdbError, match=r"version 1 of the protocol.*Move it away"):
+        MemoryFile(tmp_path / "memory.sqlite")

@@ -15,7 +15,7 @@ from mdb_services.mechanism.feedback.praise import LATELY
 from mdb_services.memory.file import MemoryFile
 from mdb_services.memory.store import RETRY_S, MemoryStore
 from mdb_services.shell.elsewhere import BELIEVED_AFTER_S
-from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, model, pair
+from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, config_of_vectors, done, in_ranges, model, pair
 from tests.services.store_rig import ITERATIONS, Rig, taken
 
 RELEVANCE = {"recency": 0.3, "distance": 1.0, "current_error": 1.0, "entry_error": 0.5}
@@ -95,7 +95,7 @@ def test_a_pair_sent_again_gets_the_same_answer_and_is_not_stored_twice(make_rig
     first, _ = taken(rig.stored)
     before = rig.snapshots()
     taken(rig.changes)
-    rig.give(pair(0), pair(0, action=2))
+    rig.give(pair(0), pair(0, choice=2))
     assert taken(rig.stored) == [first, first]
     assert taken(rig.changes) == []
     assert rig.snapshots() == before
@@ -306,11 +306,68 @@ def test_pairs_with_what_no_model_knows_are_stored_and_change_no_memory(make_rig
 
 def test_pairs_that_this_experiment_cannot_have_are_refused(make_rig: MakeRig) -> None:
     rig = make_rig()
-    rig.give(pair(0), pair(ITERATIONS), pair(2**53, before={}), pair(1, action=3), pair(1))
+    rig.give(pair(0), pair(ITERATIONS), pair(2**53, before={}), pair(1, choice=3, action=done(0)), pair(1))
     assert [answer.iteration for answer in taken(rig.stored)] == [0, 1]
     assert rig.store.bus.refusals.counts[keys.PAIR.path] == 3
     (progress,) = rig.outside.query(keys.PROGRESS, 1.0)
     assert progress.iteration == 2
+
+
+@pytest.mark.parametrize("fields", [
+    {"choice": None, "action": done(1)}, {"choice": 2, "action": done(1)}, {"choice": 1, "action": {}},
+    {"choice": 1, "action": {"turn": -19.9}}, {"choice": 1, "action": done(1) | {"speed": 0.0}},
+])  # fmt: skip
+def test_pairs_whose_action_is_no_choice_of_this_experiment_are_refused(make_rig: MakeRig, fields: dict) -> None:
+    rig = make_rig()
+    rig.give(pair(0, **fields), pair(1))
+    assert [answer.iteration for answer in taken(rig.stored)] == [1]
+    assert rig.store.bus.refusals.counts[keys.PAIR.path] == 1
+
+
+def test_without_choices_any_point_of_the_ranges_is_stored_and_read_and_no_other(make_rig: MakeRig) -> None:
+    rig = make_rig(brain_config(in_ranges(), "ranges.toml"))
+    turns = [0.5, 90.0, -90.0, 12.25, 90.5]
+    rig.give(*(pair(i, action={"turn": turned}) for i, turned in enumerate(turns)))
+    rig.give(pair(5, choice=0), pair(5, action={}), pair(5, action={"turn": 0.0, "speed": 0.0}))
+    assert [answer.iteration for answer in taken(rig.stored)] == [0, 1, 2, 3]
+    assert rig.store.bus.refusals.counts[keys.PAIR.path] == 4
+    inputs = np.array(rig.snapshots()["object"]["inputs"])
+    assert inputs[:, 1] == pytest.approx([0.5 / 90, 1, -1, 12.25 / 90])
+    before = rig.snapshots()
+    rig.restart()
+    assert rig.snapshots() == before
+    (progress,) = rig.outside.query(keys.PROGRESS, 1.0)
+    assert [array.tolist() for array in (progress.notes, progress.choices, progress.iterations)] == [[], [], []]
+    assert [one.action["turn"] for one in progress.judged] == turns[:4]
+
+
+def test_an_optimizer_that_begins_is_told_when_each_choice_was_taken_last_under_each_note(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    taken_ = [(0, 1), (None, 1), (0, 2), (None, 1), (0, 1)]
+    rig.give(*(pair(i, note=note, choice=choice) for i, (note, choice) in enumerate(taken_)))
+    (progress,) = rig.outside.query(keys.PROGRESS, 1.0)
+    told = zip(progress.notes.tolist(), progress.choices.tolist(), progress.iterations.tolist(), strict=True)
+    assert sorted(told) == [(-1, 1, 3), (0, 1, 4), (0, 2, 2)]
+
+
+def test_a_vector_enters_the_memory_number_by_number(make_rig: MakeRig) -> None:
+    rig = make_rig(config_of_vectors())
+    rig.give(
+        pair(0, before={"sonar": [0.0, 2.0, 4.0]}, after={"sonar": [1.0, 2.0, 3.0]}),
+        pair(1, before={"sonar": [0.0, 2.0]}, after={"sonar": [1.0, 2.0, 3.0]}),
+        pair(2, before={"sonar": 0.5}, after={"sonar": [1.0, 2.0, 3.0]}),
+    )
+    assert [answer.iteration for answer in taken(rig.stored)] == [0, 1, 2]
+    memory = rig.snapshots()["object"]
+    assert memory["pairs"] == [0], "a vector of another length is as one that is not there"
+    assert memory["inputs"] == [[-1, 0, 1, 0]]
+    assert memory["targets"] == [[-0.5, 0, 0.5]]
+    rig.show(model("object", 1, layers=[4, 0, 3]))
+    rig.show(model("object", 2, layers=[4, 0, 1]))
+    (kept,) = rig.outside.query(keys.KEPT_MODEL, 1.0)
+    assert kept.version == 1
+    rig.restart()
+    assert rig.snapshots()["object"] == memory
 
 
 def test_a_pair_from_far_ahead_is_stored_only_when_it_comes_again_and_again(make_rig: MakeRig) -> None:
@@ -340,7 +397,7 @@ def test_in_lockstep_a_pair_waits_for_the_models_it_was_acted_upon(make_rig: Mak
 
 
 def test_in_lockstep_a_pair_does_not_wait_for_ever(make_rig: MakeRig) -> None:
-    rig = make_rig(config(experiment=LOCKSTEP, optimizer={"actions": 3, "lockstep_patience_s": 10.0}))
+    rig = make_rig(config(experiment=LOCKSTEP, optimizer={"lockstep_patience_s": 10.0}))
     rig.give(pair(0, versions={"object": 2}))
     rig.now = 9.9
     rig.store.step()

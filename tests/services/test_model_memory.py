@@ -24,7 +24,7 @@ from mdb_services.experiment.brain import BrainConfig
 from mdb_services.mechanism.networks.network import Network
 from mdb_services.memory.file import MemoryFile
 from mdb_services.memory.store import RETRY_S, MemoryStore
-from tests.services.languages import NAME, SPEAKS, Student, config, current, feedback, language_of, pair
+from tests.services.languages import NAME, SPEAKS, Student, config, current, done, feedback, language_of, pair
 from tests.services.small import BRAIN
 from tests.services.store_rig import Rig, taken
 
@@ -118,8 +118,9 @@ def test_a_good_and_stable_model_is_stored_with_pairs_of_its_context(lesson: Les
     assert lesson.events() == [(6, "stored", 1), (12, "stored", 1), (18, "stored", 1)], "every 6 good pairs"
     model = lesson.model(1)
     assert language_of(model) == "A"
-    assert sorted((one.note, one.action) for one in model.pairs) == [(0, 0), (0, 1), (1, 0), (1, 1)]
-    assert all(one.feedback == feedback("A", one.note or 0, one.action) for one in model.pairs)
+    assert sorted((one.note, one.choice) for one in model.pairs) == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    assert all(one.action == done(one.choice) for one in model.pairs)
+    assert all(one.feedback == feedback("A", one.note, one.choice) for one in model.pairs)
     assert model.error < 1e-6
     assert (model.experiment, model.brain, model.seed) == ("languages", BRAIN, 3)
     assert (model.iteration, model.touched, model.uses, model.origin) == (18, 19, 0, "")
@@ -133,7 +134,7 @@ def test_a_model_that_knows_less_leaves_the_stored_one_as_it_is(lesson: Lesson) 
     before = lesson.model(1)
     for i in range(20, 32):  # only right actions from now on: for them a network will do that praises everything
         lesson.rig.show(current(Network([np.zeros((0, 4)), np.array([[1.0]])]), i))
-        lesson.rig.give(msgspec.structs.replace(pair(i, "A"), action=i % 2, feedback=1.0))
+        lesson.rig.give(pair(i, "A", choice=i % 2, feedback=1.0))
     assert taken(lesson.rig.events) == []
     after = lesson.model(1)
     assert after.touched > before.touched
@@ -189,7 +190,7 @@ def test_the_first_teacher_returns_and_what_was_learnt_is_recalled_at_once(lesso
     rows = {(tuple(i), t[0]) for i, t in zip(snapshot["inputs"], snapshot["targets"], strict=True)}
     assert len(rows) == 4, "two of the sample's four pairs have come again, the other two are known by it alone"
     for one in sample:
-        row = (float(one.note == 0), float(one.note == 1), 2.0 * one.action - 1)
+        row = (float(one.note == 0), float(one.note == 1), 2.0 * one.choice - 1)
         assert (row, one.feedback) in rows
     assert (lesson.model(1).uses, lesson.model(1).touched) == (1, 43)
     assert lesson.values()[f"changing.{NAME}"] == 0
@@ -359,11 +360,8 @@ def test_a_damaged_memory_is_a_clear_error(lesson: Lesson, damage: str) -> None:
 
 
 def heard(start: int, *said: tuple[int, int], language: str) -> list[messages.Pair]:
-    """Pairs of notes and actions, one an iteration."""
-    return [
-        msgspec.structs.replace(pair(i, language), note=n, action=a, feedback=feedback(language, n, a))
-        for i, (n, a) in enumerate(said, start=start)
-    ]
+    """Pairs of notes and choices, one an iteration."""
+    return [pair(i, language, note=note, choice=choice) for i, (note, choice) in enumerate(said, start=start)]
 
 
 def test_a_model_recalled_by_chance_is_left_after_a_few_pairs(lesson: Lesson) -> None:

@@ -12,8 +12,20 @@ from mdb_services.acting.optimizer import ENDING_S, Optimizer
 from mdb_services.acting.outbox import UNSTORED
 from mdb_services.acting.teachers import KEPT_AHEAD
 from mdb_services.experiment.brain import BrainConfig, brain_config
+from mdb_services.mechanism.actions.spaces import Choices
 from mdb_services.shell.elsewhere import BELIEVED_AFTER_S
-from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, content, model, perception
+from tests.services.small import (
+    BRAIN,
+    CONTENT,
+    LOCKSTEP,
+    config,
+    config_of_vectors,
+    content,
+    done,
+    in_ranges,
+    model,
+    perception,
+)
 
 OPTIMIZER = CONTENT["optimizer"]
 PATIENCE_S, RESEND_S = 2.0, 0.5
@@ -22,7 +34,7 @@ PATIENCE_S, RESEND_S = 2.0, 0.5
 def progress(iteration: int = 0, **fields: Any) -> messages.Progress:
     """What a memory store says that has the pairs before `iteration`."""
     none = np.array([], np.int64)
-    plain = {"versions": {}, "unjudged": [], "judged": [], "notes": none, "actions": none, "iterations": none}
+    plain = {"versions": {}, "unjudged": [], "judged": [], "notes": none, "choices": none, "iterations": none}
     return messages.Progress(iteration=iteration, **(plain | fields))
 
 
@@ -98,16 +110,19 @@ def test_a_full_cycle_gives_the_action_the_pair_and_the_report() -> None:
     rig.command(0, 2)
     (action,) = rig.said(keys.ACTION)
     assert (action.iteration, action.valid_for_s) == (0, 1.0)
+    assert action.action == done(action.choice)
     rig.sense(1, 1.2)
     assert rig.said(keys.PAIR) == [], "the feedback is awaited"
     rig.reward(0, -0.5)
     (pair,) = rig.said(keys.PAIR)
     assert pair == messages.Pair(
-        iteration=0, before={"distance": 1.5}, note=2, action=action.action, after={"distance": 1.2}, feedback=-0.5,
-        versions={"communication": 3}, teacher="anna", judges=["anna"], best=1.0,
+        iteration=0, before={"distance": 1.5}, note=2, action=action.action, choice=action.choice,
+        after={"distance": 1.2}, feedback=-0.5, versions={"communication": 3}, teacher="anna", judges=["anna"],
+        best=1.0,
     )  # fmt: skip
     (report,) = rig.said(keys.ITERATION)
     assert (report.iteration, report.mode, report.note, report.feedback) == (0, "taught", 2, -0.5)
+    assert (report.action, report.choice) == (action.action, action.choice)
     assert report.predicted == pytest.approx(0.5)
     assert report.prequential["communication"] == pytest.approx(1.0)
     assert [timing.iteration for timing in rig.said(keys.TIMING)] == [0]
@@ -292,11 +307,27 @@ def test_models_that_do_not_fit_are_refused_and_the_good_one_stays() -> None:
     assert [p.versions for p in rig.said(keys.PAIR)] == [{"object": 1}]
 
 
+def test_a_model_of_vectors_acts_on_all_their_numbers_and_one_that_does_not_fit_is_refused() -> None:
+    rig = Rig(config_of_vectors(), teacher=False)
+    rig.learn("object", 1, layers=[4, 0, 3])
+    rig.learn("object", 2, layers=[4, 0, 1])
+    rig.learn("object", 3, layers=[2, 0, 1])
+    assert rig.refused(keys.CURRENT_MODEL) == 2
+    for i, sonar in enumerate(([0.0, 2.0, 4.0], [1.0, 2.0], [1.0, 2.0, 3.0], [1.0, 1.0, 1.0])):
+        rig.sense(i, reading={"sonar": sonar}, outcome={"sonar": sonar})
+    pairs, reports = rig.said(keys.PAIR), rig.said(keys.ITERATION)
+    assert [report.mode for report in reports] == ["alone", "random", "alone"]
+    assert [pair.versions for pair in pairs] == [{"object": 1}] * 3
+    assert [pair.after["sonar"] for pair in pairs] == [[1.0, 2.0], [1.0, 2.0, 3.0], [1.0, 1.0, 1.0]]
+    assert [report.prequential.keys() for report in reports] == [set(), set(), {"object"}]
+    assert reports[2].prequential["object"] == pytest.approx((0.5**2 + 0.5**2 + 1) / 3), "0.5 is foreseen of the last"
+
+
 def test_a_model_is_believed_as_far_as_the_support_that_came_with_it() -> None:
     """All actions are promised 0.5, which is not enough; what nothing supports may be better, and is tried."""
     seeking = CONTENT["mode"][0] | {"reach": 0.2, "aspiration": 0.8, "curiosity": 0.9}
     settings = brain_config(content() | {"mode": [seeking]}, "small.toml")
-    places = np.array([[0, 1, 0, place] for place in (0, -1, 1)], np.float32)  # note 1, the ranks of the actions
+    places = np.array([[0, 1, 0, place] for place in (0, -1, 1)], np.float32)  # note 1, the ranks of the choices
     for support, explores in ((places[:1], True), (places, False), (None, False)):
         rig = Rig(settings)
         current = msgspec.structs.replace(model("communication"), support=support)
@@ -304,7 +335,7 @@ def test_a_model_is_believed_as_far_as_the_support_that_came_with_it() -> None:
         rig.sense(0)
         rig.command(0, 1)
         (action,) = rig.said(keys.ACTION)
-        assert (action.intention.explored, action.action != 0) == (explores, explores)
+        assert (action.intention.explored, action.choice != 0) == (explores, explores)
 
 
 def test_a_robot_that_senses_nothing_or_something_else_is_acted_upon_at_random() -> None:
@@ -553,14 +584,14 @@ AT_RANDOM: dict[str, Any] = {
 
 def lessons(rig: Rig, first: int, count: int, lag: int) -> dict[int, float]:
     """Teach with feedback that names no iteration; return what each action deserves."""
-    rng, deserved, actions = np.random.default_rng(first), {}, {}
+    rng, deserved, choices = np.random.default_rng(first), {}, {}
     for i in range(first, first + count):
         rig.sense(i)
         if i - 1 - lag in deserved:
             rig.reward(None, deserved[i - 1 - lag])
         rig.command(i, note := int(rng.integers(3)))
-        actions |= {action.iteration: action.action for action in rig.said(keys.ACTION)}
-        deserved[i] = (1.0, 0.0, -1.0)[(note + actions[i]) % 3]
+        choices |= {action.iteration: action.choice for action in rig.said(keys.ACTION)}
+        deserved[i] = (1.0, 0.0, -1.0)[(note + choices[i]) % 3]
     return deserved
 
 
@@ -675,8 +706,9 @@ def test_an_optimizer_that_died_with_its_action_done_forms_the_pair_that_was_mea
     rig.reward(0, -0.5)
     (pair,) = rig.said(keys.PAIR)
     assert pair == messages.Pair(
-        iteration=0, before={"distance": 1.5}, note=2, action=action.action, after={"distance": 1.2}, feedback=-0.5,
-        versions={"communication": 3}, teacher="anna", judges=["anna"], best=1.0,
+        iteration=0, before={"distance": 1.5}, note=2, action=action.action, choice=action.choice,
+        after={"distance": 1.2}, feedback=-0.5, versions={"communication": 3}, teacher="anna", judges=["anna"],
+        best=1.0,
     )  # fmt: skip
     (report,) = rig.said(keys.ITERATION)
     assert (report.mode, report.predicted, report.holder) == ("taught", action.intention.predicted, "anna")
@@ -700,15 +732,15 @@ def test_what_the_robot_did_counts_not_what_a_later_optimizer_wanted() -> None:
     rig = Rig(teacher=False)
     rig.sense(0)
     (action,) = rig.said(keys.ACTION)
-    other = msgspec.structs.replace(action, action=(action.action + 1) % 3)
-    rig.sense(1, done=other)
-    assert [pair.action for pair in rig.said(keys.PAIR)] == [other.action]
+    other = (action.choice + 1) % 3
+    rig.sense(1, done=msgspec.structs.replace(action, action=done(other), choice=other))
+    assert [(pair.action, pair.choice) for pair in rig.said(keys.PAIR)] == [(done(other), other)]
 
 
 def test_late_feedback_finds_its_pair_after_a_restart() -> None:
     rig = Rig(config(experiment={"iterations": 100}))
     unjudged = messages.Pair(
-        iteration=4, before={}, note=1, action=0, after={}, feedback=None, versions={}, teacher="anna"
+        iteration=4, before={}, note=1, action=done(0), choice=0, after={}, feedback=None, versions={}, teacher="anna"
     )
     died(rig, iteration=5, unjudged=[unjudged])
     rig.reward(4, 0.5)
@@ -739,10 +771,95 @@ def test_praise_is_measured_by_the_best_of_late_also_after_a_restart() -> None:
 
 def test_what_was_tried_is_known_after_a_restart() -> None:
     rig = Rig(teacher=False)
-    tried = {"notes": [-1, 2, 2], "actions": [0, 1, 9], "iterations": [3, 4, 2]}
+    tried = {"notes": [-1, 2, 2], "choices": [0, 1, 9], "iterations": [3, 4, 2]}
     died(rig, iteration=5, **{name: np.array(values, np.int64) for name, values in tried.items()})
-    assert rig.optimizer._tried[None].tolist() == [3, -1, -1]
-    assert rig.optimizer._tried[2].tolist() == [-1, 4, -1]
+    assert tried_last(rig, None) == [3, -1, -1]
+    assert tried_last(rig, 2) == [-1, 4, -1]
+
+
+def test_what_was_tried_on_the_way_is_known_too() -> None:
+    rig = Rig(teacher=False)
+    rig.sense(0)
+    (action,) = rig.said(keys.ACTION)
+    assert tried_last(rig, None)[action.choice] == 0
+    other = (action.choice + 1) % 3
+    rig.optimizer.bus.close()
+    rig.sense(1, done=msgspec.structs.replace(action, action=done(other), choice=other))
+    died(rig, iteration=0)
+    assert tried_last(rig, None)[other] == 0, "what the robot gives back of it"
+
+
+def tried_last(rig: Rig, note: int | None) -> list[int]:
+    """When each choice was taken last under a note; -1: never."""
+    space = rig.optimizer._space
+    assert isinstance(space, Choices)
+    last: list[int] = space._last[note].tolist()
+    return last
+
+
+# ---- actions of a range ----
+
+
+def test_without_choices_an_action_is_a_point_of_the_range() -> None:
+    rig = Rig(brain_config(in_ranges(), "small.toml"), teacher=False)
+    actions = []
+    for i in range(4):
+        rig.sense(i)
+        actions += rig.said(keys.ACTION)
+    pairs, reports = rig.said(keys.PAIR), rig.said(keys.ITERATION)
+    assert [action.choice for action in actions] == [None] * 4
+    assert all(action.action.keys() == {"turn"} and -90 <= action.action["turn"] <= 90 for action in actions)
+    assert len({action.action["turn"] for action in actions}) == 4
+    for said in (pairs, reports):
+        assert [(one.action, one.choice) for one in said] == [(action.action, None) for action in actions[:3]]
+
+
+def test_of_a_range_what_promises_most_is_done() -> None:
+    """The object comes nearer the more is turned to the one side; the mode likes it far away."""
+    rig = Rig(brain_config(in_ranges(), "small.toml"), teacher=False)
+    weights = np.array([0.001, 0, 0, 0, -0.001, 0, 500, 500, 0], np.float32)  # two hidden units: distance, turn
+    rig.say(
+        keys.CURRENT_MODEL,
+        msgspec.structs.replace(model("object"), layers=[2, 2, 1], weights=weights),
+        model="object",
+    )
+    rig.sense(0)
+    (action,) = rig.said(keys.ACTION)
+    assert action.intention.mode == "alone"
+    assert action.action["turn"] == pytest.approx(-90, abs=5)
+
+
+def turned(iteration: int, turn: float, feedback: float | None) -> messages.Pair:
+    """A pair of the past: note 1 and a turn."""
+    return messages.Pair(
+        iteration=iteration, before={}, note=1, action={"turn": turn}, after={}, feedback=feedback, versions={}
+    )
+
+
+def test_points_of_a_range_that_were_tried_are_known_after_a_restart() -> None:
+    seeking = CONTENT["mode"][0] | {"aspiration": 0.8, "exploration": 1.0}
+    rig = Rig(brain_config(in_ranges(mode=[seeking]), "small.toml"))
+    judged, unjudged = [turned(0, 90.0, 0.1), turned(2, 40.0, 0.1)], [turned(1, 0.0, None), turned(3, -90.0, None)]
+    died(rig, iteration=4, judged=judged, unjudged=unjudged)
+    rig.learn("communication", 1, last=0.0)
+    rig.sense(4)
+    rig.command(4, 1)
+    (action,) = rig.said(keys.ACTION)
+    assert action.intention.explored
+    assert action.action["turn"] == pytest.approx(-45, abs=8), "the farthest from all"
+
+
+def test_an_optimizer_that_died_forms_the_pair_of_a_point_too() -> None:
+    rig = Rig(brain_config(in_ranges(), "small.toml"), teacher=False)
+    rig.sense(0)
+    (action,) = rig.said(keys.ACTION)
+    rig.optimizer.bus.close()
+    rig.sense(1, done=action)
+    died(rig, iteration=0)
+    assert [(pair.action, pair.choice) for pair in rig.said(keys.PAIR)] == [(action.action, None)]
+    other = msgspec.structs.replace(rig.said(keys.ACTION)[-1], action={"turn": 1.5})
+    rig.sense(2, done=other)
+    assert [pair.action for pair in rig.said(keys.PAIR)] == [{"turn": 1.5}], "what the robot did counts"
 
 
 def test_pairs_on_their_way_while_the_optimizer_died_do_not_cost_the_last_one() -> None:

@@ -4,6 +4,7 @@ import errno
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -58,6 +59,16 @@ def test_what_was_said_is_read_again_in_order(tmp_path: Path) -> None:
     assert recorded[2].key == "mdb/test/model/object"
     assert codec.encode(recorded[2].message) == codec.encode(model("object", 7))
     assert [r.time_s for r in recorded] == sorted(r.time_s for r in recorded)
+
+
+def test_vectors_are_read_again_and_what_does_not_belong_in_the_log_is_not_in_it(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    seen = perception(1, reading={"sonar": [0.5, 1.5], "distance": 1.0})
+    rig.say(keys.PERCEPTION, seen)
+    rig.say(keys.PICTURE, messages.Picture(iteration=1, image=np.zeros((4, 4, 3), np.uint8)))
+    rig.stop()
+    assert [r.message for r in read_log(tmp_path)] == [seen]
+    assert rig.recorder.bus.refusals.counts == {}, "a picture is no junk"
 
 
 def test_what_came_just_before_the_end_is_written(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mdb_sim.bodies.pioneer.arena import (
+    NEAR_WALL_M,
     bearing_rad,
     clearance_m,
     draw_placement,
@@ -13,9 +14,10 @@ from mdb_sim.bodies.pioneer.arena import (
     stream,
     surface_distance_m,
 )
-from mdb_sim.body import Placement, Pose, RobotConfig
+from mdb_sim.bodies.pioneer.world import PioneerConfig, Placement, Pose, placement_of, scene_of
 
-CONFIG = RobotConfig()
+CONFIG = PioneerConfig()
+BESIDE_A_WALL = PioneerConfig(start="wall")
 seeds = st.integers(0, 2**64 - 1)
 episodes = st.integers(0, 2**32)
 
@@ -34,6 +36,27 @@ def test_placements_keep_to_the_range_and_are_no_capture(seed, episode):
     assert CONFIG.place_min_m - 1e-9 <= distance_m <= CONFIG.place_max_m + 1e-9
     assert not is_captured(placement, CONFIG)
     assert clearance_m(placement, CONFIG) > 0.0
+
+
+@given(seeds, episodes)
+def test_beside_a_wall_the_robot_touches_nothing_and_captures_nothing(seed, episode):
+    placement = draw_placement(BESIDE_A_WALL, seed, episode)
+    assert placement == draw_placement(BESIDE_A_WALL, seed, episode)
+    robot = placement.robot
+    wall_m = CONFIG.arena_m / 2.0 - max(abs(robot.x_m), abs(robot.y_m))
+    assert NEAR_WALL_M[0] - 1e-9 <= wall_m <= NEAR_WALL_M[1] + 1e-9
+    assert clearance_m(placement, BESIDE_A_WALL) > 0.0
+    assert surface_distance_m(placement, CONFIG.object_radius_m) > CONFIG.attention_m
+    assert not is_captured(placement, BESIDE_A_WALL)
+
+
+def test_each_wall_is_begun_at():
+    found = set()
+    for episode in range(60):
+        robot = draw_placement(BESIDE_A_WALL, 1, episode).robot
+        along_x = abs(robot.x_m) > abs(robot.y_m)
+        found.add((along_x, (robot.x_m if along_x else robot.y_m) > 0.0))
+    assert len(found) == 4
 
 
 def test_placements_lie_all_around():
@@ -62,3 +85,10 @@ def test_streams_depend_on_each_part_of_their_key_and_on_nothing_else():
     draws = [tuple(stream(*key).random(3)) for key in keys]
     assert len(set(draws)) == len(keys)
     assert draws == [tuple(stream(*key).random(3)) for key in keys]
+
+
+@given(seeds, episodes)
+def test_a_scene_stands_for_its_placement(seed, episode):
+    placement = draw_placement(CONFIG, seed, episode)
+    assert placement_of(scene_of(placement)) == placement
+    assert placement_of(scene_of(placement) | {"reward": 1.0}) == placement

@@ -6,17 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from mdb_protocol.errors import ConfigError
 from mdb_sim.runs.experiment import Experiment
-from mdb_sim.runs.measures import capture_window
+from mdb_sim.runs.measures import success_window
 from mdb_sim.runs.record import RunRecord
 from mdb_sim.studies import baselines
 from mdb_sim.studies.gaussian import Bandit, Induced, posterior
-from mdb_sim.studies.ideal import ideal_captures
+from mdb_sim.studies.ideal import ideal_successes
 from mdb_sim.studies.rows import rows_of
-from mdb_sim.teaching.teacher import graded_feedback, make_language, turn_ranks
-from tests.sim.test_measures import PAPER, TURNS
+from mdb_sim.teaching.languages import make_language
+from tests.sim.test_measures import PAPER, REACH, TURNS, graded_feedback
 
 SHORT = (
     "robot.body=kinematic",
@@ -41,20 +42,21 @@ def test_the_ideal_policy_captures_what_its_ideal_does(tmp_path: Path) -> None:
 
 
 def test_the_ideal_begins_within_the_episode_where_the_phase_begins(tmp_path: Path) -> None:
-    record = played("random", tmp_path / "run", "robot.world.episode_iterations=5")
-    window = capture_window(record, record.spans[1])
-    assert record.event[window[0] - 1] == "none", "or else this seed shows nothing"
+    record = played("random", tmp_path / "run", "robot.episode_iterations=5")
+    window = success_window(record, record.spans[1])
+    begin = record.scenes[window[0]]
+    assert not begin.ended, "or else this seed shows nothing"
     # A robot that is put down with a fresh episode has longer for its first capture.
-    fresh = replace(record, event=np.where(np.arange(800) == window[0] - 1, "timeout", record.event))
-    assert 0 < ideal_captures(record, window) <= ideal_captures(fresh, window)
+    fresh = replace(record, scenes=record.scenes | {window[0]: structs.replace(begin, ended=True)})
+    assert 0 < ideal_successes(record, window) <= ideal_successes(fresh, window)
 
 
 def test_a_foreign_body_and_a_run_that_ended_before_have_no_ideal(tmp_path: Path) -> None:
     record = played("random", tmp_path / "run")
-    assert math.isnan(ideal_captures(record, (700, 900)))
+    assert math.isnan(ideal_successes(record, (700, 900)))
     assert record.experiment.robot.body == "kinematic"
     foreign = Experiment.read(PAPER, (*SHORT, "robot.body=mdb_sim.bodies.pioneer.twin:KinematicRobot"))
-    assert math.isnan(ideal_captures(replace(record, experiment=foreign), (400, 650)))
+    assert math.isnan(ideal_successes(replace(record, experiment=foreign), (400, 650)))
 
 
 def test_who_knows_the_language_obeys_every_note_and_is_lost_without(tmp_path: Path) -> None:
@@ -66,7 +68,8 @@ def test_who_knows_the_language_obeys_every_note_and_is_lost_without(tmp_path: P
 
 def test_a_player_is_the_same_every_time(tmp_path: Path) -> None:
     one, other = (played("random", tmp_path / name) for name in ("one", "other"))
-    np.testing.assert_array_equal(one.action, other.action)
+    np.testing.assert_array_equal(one.choice, other.choice)
+    assert one.scenes == other.scenes
     np.testing.assert_array_equal(one.feedback, other.feedback)
 
 
@@ -99,13 +102,13 @@ def test_a_posterior_is_the_prior_without_data_and_certain_with_much() -> None:
 
 
 def test_a_bandit_forgets_a_teacher_who_has_changed() -> None:
-    bandit = Bandit(turn_ranks(TURNS))
-    one, two = make_language("ordered", TURNS), make_language("reversed", TURNS)
+    bandit = Bandit(REACH.order)
+    one, two = make_language("ordered", REACH.order), make_language("reversed", REACH.order)
     for language in (one, two):
         for place in range(140):
             note = place % len(TURNS)
             action = bandit.act(note)
-            bandit.learn(note, action, graded_feedback(language.command(note), action, TURNS))
+            bandit.learn(note, action, graded_feedback(language.command(note), action))
         assert [bandit.act(note) for note in range(7)] == [language.command(note) for note in range(7)]
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
+from mdb_protocol.messages import Scene
 from mdb_sim.figures.drawings import draw_comings
 from mdb_sim.runs import measures
 from mdb_sim.runs.record import ABSENT, RunRecord, Span
@@ -21,7 +23,7 @@ from mdb_sim.verdicts.comings import (
     own_firsts,
     ratio_of,
 )
-from tests.sim.test_measures import ONE, write_run
+from tests.sim.test_measures import ONE, TURNS, place, scene, write_run
 
 INF, NAN = math.inf, math.nan
 SEEDS = range(11, 21)
@@ -35,12 +37,21 @@ def short_run(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
 def obeying(record: RunRecord, obeyed: Sequence[int | None]) -> RunRecord:
     """The record with these commands obeyed (1), not (0), or not given (None), from its first iteration on."""
     command, note = 3, ONE.note(3)
+    choices = [command if done else 0 for done in obeyed]
     return replace(
         record,
         reported=np.ones(len(obeyed), dtype=np.bool_),
-        action=np.array([command if done else 0 for done in obeyed], dtype=np.int64),
+        choice=np.array(choices, dtype=np.int64),
         note=np.array([ABSENT if done is None else note for done in obeyed], dtype=np.int64),
+        scenes={i + 1: turned(i + 1, TURNS[choice]) for i, choice in enumerate(choices)},
     )
+
+
+def turned(count: int, turn_deg: float) -> Scene:
+    """After a turn on the spot."""
+    before, reached = place(0), place(0, turned_deg=turn_deg)
+    action = {"turn": turn_deg}
+    return structs.replace(scene(count), action=action, before=before, reached=reached, now=reached)
 
 
 def span(stop: int) -> Span:

@@ -40,8 +40,15 @@ def test_the_same_values_in_the_same_order_are_equal_whatever_lies_between() -> 
 
 
 def test_the_first_difference_is_named_with_both_values() -> None:
-    found = compared(pairs(0, 1, 2, action=1), [*pairs(0, action=1), *pairs(1, 2, action=2)])
-    assert found.difference == "pair, value 2 (iteration 1): action is 1 in the log, 2 in the replay"
+    found = compared(pairs(0, 1, 2, note=1), [*pairs(0, note=1), *pairs(1, 2, note=2)])
+    assert found.difference == "pair, value 2 (iteration 1): note is 1 in the log, 2 in the replay"
+
+
+def test_a_difference_within_an_action_names_the_actuator() -> None:
+    found = compared(pairs(0, 1, choice=1), [*pairs(0, choice=1), *pairs(1, choice=2)])
+    assert found.difference == "pair, value 2 (iteration 1): action.turn is -20.0 in the log, 20.0 in the replay"
+    found = compared(pairs(0, choice=1), pairs(0, choice=1, action={"steer": -20.0}))
+    assert found.difference == "pair, value 1 (iteration 0): action.turn is -20.0 in the log, absent in the replay"
 
 
 def test_a_difference_within_an_array_says_where() -> None:
@@ -76,7 +83,7 @@ def test_what_was_sent_again_or_shown_at_another_time_counts_once() -> None:
 
 
 def test_the_time_of_the_action_that_was_done_does_not_count() -> None:
-    action = messages.Action(iteration=0, action=1, valid_for_s=1.0, stamp=4.0)
+    action = messages.Action(iteration=0, action={"turn": 1.0}, choice=1, valid_for_s=1.0, stamp=4.0)
     seen = perception(1, done=action, stamp=5.0)
     assert timeless(seen) == perception(1, done=msgspec.structs.replace(action, stamp=0.0))
     assert timeless(action).stamp == 0.0  # type: ignore[attr-defined]
@@ -85,7 +92,7 @@ def test_the_time_of_the_action_that_was_done_does_not_count() -> None:
 def test_with_gaps_values_are_matched_by_iteration_and_the_rest_is_counted() -> None:
     found = compared(pairs(0, 2, 3), pairs(0, 1, 3), gaps=True)
     assert (found.difference, found.compared, found.unmatched) == (None, 2, 2)
-    found = compared(pairs(0, 2), pairs(0, 1, 2, action=2), gaps=True)
+    found = compared(pairs(0, 2), pairs(0, 1, 2, note=1), gaps=True)
     assert found.difference is not None
 
 

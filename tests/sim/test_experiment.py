@@ -1,5 +1,7 @@
 """The whole experiment file, and the whole brain in one process."""
 
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ from mdb_protocol import keys
 from mdb_protocol.codec import to_plain
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_protocol.messages import IterationReport
 from mdb_services.experiment.reading import read_file
 from mdb_services.recorder import read_log
 from mdb_sim.runs.compare import timeless
@@ -37,10 +40,16 @@ def test_a_written_experiment_is_read_again_as_it_was(tmp_path: Path) -> None:
     [
         (["robto.body=kinematic"], "unknown section 'robto'; sections are"),
         (["robot.bdy=kinematic"], "bdy"),
-        (["robot.world.arena_m=-1"], "arena_m"),
-        (["robot.world.place_min_m=9"], "place_min_m"),
-        (["optimizer.actions=5", "channels.action.values=[1,2,3,4,5]"], "robot.world.turns_deg has 7"),
+        (["robot.world.arena_m=-1"], "world"),
+        (["robot.options=5"], "options"),
+        (["robot.episode_iterations=0"], "episode_iterations"),
+        (["robot.successes=capture"], "successes"),
+        (["actuators.turn.low=-60"], "turn = -90.0; expected -60"),
         (["teacher.phase.alone.start=5000"], "teacher: phases start at"),
+        (["teacher.policy=obey"], "teacher: no policy named 'obey'; expected 'reach'"),
+        (["teacher.policy=no.such:Policy"], "teacher: policy='no.such:Policy': importing no.such failed"),
+        (["teacher.options.turns=3"], "teacher: policy='reach' does not take the options {'turns': 3}"),
+        (["teacher.options.turns_deg=[20]"], "expected two or more of -180 to 180, all different"),
         (["teacher.phase.first teacher.language=elvish"], "teacher: no language 'elvish'"),
         (["teacher.feedback=kind"], "kind"),
         (["robot.action_s=-1"], "action_s"),
@@ -58,8 +67,134 @@ def test_services_that_cannot_be_had_are_config_errors() -> None:
     with pytest.raises(ConfigError, match=r"no \[teacher\] section"):
         Experiment(content, "file").teacher_service(MemoryBus(Fabric(), "test"))
     for body, said in (("submarine", "no body named 'submarine'"), ("no.such:Body", "importing no.such failed")):
+        experiment = Experiment.read(PAPER, [f"robot.body={body}"])
         with pytest.raises(ConfigError, match=said):
-            Experiment.read(PAPER, [f"robot.body={body}"]).robot_service(MemoryBus(Fabric(), "test"))
+            experiment.robot_service(MemoryBus(Fabric(), "test"))
+        with pytest.raises(ConfigError, match=said):
+            experiment.check_machine()
+    for setting, said in (("robot.options.arena_m=-1", "arena_m"), ("robot.options.wheels=3", "wheels")):
+        experiment = Experiment.read(PAPER, ["robot.body=kinematic", setting])
+        with pytest.raises(ConfigError, match=said):
+            experiment.robot_service(MemoryBus(Fabric(), "test"))
+        with pytest.raises(ConfigError, match=rf"{PAPER.name}: robot\.options: .*{said}"):
+            experiment.check_machine()
+
+
+# ---- the file and the body that it names ----
+
+
+def files() -> list[Path]:
+    return sorted(PAPER.parent.glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda path: path.stem)
+def test_a_shipped_experiment_fits_its_body(path: Path) -> None:
+    experiment = Experiment.read(path)
+    pytest.importorskip(experiment.robot.body if experiment.robot.body != "kinematic" else "numpy")
+    experiment.check_machine()
+
+
+@pytest.mark.parametrize("body", ["kinematic", "pybullet"])
+def test_the_papers_experiment_fits_both_pioneers_and_what_does_not_fit_is_told(body: str) -> None:
+    if body == "pybullet":
+        pytest.importorskip("pybullet")
+    own = f"robot.body={body}"
+    Experiment.read(PAPER, [own]).check_machine()
+    Experiment.read(PAPER, [own, "robot.options.advance_m=0.1"]).check_machine()
+    for settings, said in (
+        (['robot.ends=["bump", "hit"]'], "robot.ends has 'hit', which is none of its events"),
+        (["robot.successes=[]", "robot.ends=[]"], None),
+        (["actuators.turn.high=200"], "actuators.turn goes from -90 to 200, the body's from -180 to 180 deg"),
+        (["channels.light.low=0"], "channels.light: it has no such sensor or actuator"),
+        (["channels.distance.numbers=2"], "channels.distance: the sensor gives 1 numbers, not 2"),
+        (["teacher.options.turns_deg=[0.0, 30.0]"], "the teacher's policy has 2 commands, but channels.note 7 notes"),
+    ):
+        experiment = Experiment.read(PAPER, [own, *settings])
+        if said is None:
+            experiment.check_machine()
+            continue
+        with pytest.raises(ConfigError) as caught:
+            experiment.check_machine()
+        assert str(caught.value).startswith(f"{PAPER}: body {body!r} is another one: ")
+        assert said in str(caught.value)
+
+
+def test_of_a_body_of_another_kind_every_difference_is_told_at_once() -> None:
+    crane = "robot.body=tests.conformance.small_bodies:Crane"
+    with pytest.raises(ConfigError) as caught:
+        Experiment.read(PAPER, [crane]).check_machine()
+    told = str(caught.value)
+    for said in (
+        "it has no actuator 'turn' (there are along, up)",
+        "its actuator 'along' is not in the file",
+        "channels.distance: it has no such sensor or actuator (there are load, rows)",
+        "robot.successes has 'capture', which is none of its events (there are end, timeout)",
+        "its event 'end' ends an episode; add it to robot.ends",
+        "the teacher's policy looks at 'heading_rad', which its scene does not have (there are height_m, x_m)",
+    ):
+        assert said in told
+    assert told.count("; ") >= 12
+
+
+# ---- bodies and policies beside the file ----
+
+BESIDE = """
+from mdb_sim.bodies.pioneer.twin import KinematicRobot
+from mdb_sim.teaching.policies.pioneer import Reach
+
+class Robot(KinematicRobot):
+    "A robot whose motors are swapped."
+    def act(self, values):
+        return super().act({"turn": -values["turn"]})
+
+class Wants(Reach):
+    "What somebody else wants."
+"""
+
+
+@pytest.fixture
+def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The paper's experiment in a folder of its own, with a body and a policy in a file beside it."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    path = tmp_path / "own" / "own.toml"
+    path.parent.mkdir()
+    path.write_text(PAPER.read_text(encoding="utf-8"), encoding="utf-8")
+    (path.parent / "robots_of_mine.py").write_text(BESIDE)
+    yield path
+    sys.modules.pop("robots_of_mine", None)
+
+
+OWN = ["robot.body=robots_of_mine:Robot", "teacher.policy=robots_of_mine:Wants"]
+
+
+def test_a_body_and_a_policy_beside_the_file_are_found_also_from_a_run_folder(beside: Path, tmp_path: Path) -> None:
+    experiment = Experiment.read(beside, [*SHORT, *OWN])
+    assert experiment.folder == beside.parent
+    experiment.check_machine()
+    run_experiment(experiment, tmp_path / "run")
+    again = Experiment.read(tmp_path / "run" / "experiment.toml")
+    assert again.folder == beside.parent, "where the first file lay"
+    assert again.content == experiment.content
+    again.check_machine()
+    assert type(again.body()).__name__ == "Robot"
+    assert type(again.schedule().policy).__name__ == "Wants"
+    feedback = [r.message.feedback for r in read_log(tmp_path / "run") if isinstance(r.message, IterationReport)]
+    assert 1.0 in feedback, "swapped motors can be taught"
+
+
+@pytest.mark.parametrize("own", OWN)
+def test_the_folder_is_written_when_something_may_be_there_and_only_then(beside: Path, own: str) -> None:
+    assert Experiment.read(beside, [own]).content["experiment"]["folder"] == str(beside.parent)
+    plain = Experiment.read(beside)
+    assert plain.folder is None
+    assert "folder" not in plain.content["experiment"]
+
+
+def test_the_folder_of_a_file_named_by_a_relative_path_is_whole(
+    beside: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(beside.parent)
+    assert Experiment.read(Path("own.toml"), OWN).folder == beside.parent
 
 
 def run(folder: Path, *settings: str) -> list[tuple[str, dict[str, Any]]]:

@@ -6,13 +6,15 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from mdb_protocol import keys
 from mdb_protocol.errors import MdbError
+from mdb_protocol.messages import Scene
 from mdb_sim.figures.four_to_six import band, draw, draw_band
 from mdb_sim.runs.record import Episode
 from mdb_sim.runs.trajectories import captured, typical
-from tests.sim.test_measures import Log, place, report, scene, write_run
+from tests.sim.test_measures import Log, of_another_body, place, report, scene, with_another_body, write_run
 
 NAMES = ["figure4", "figure5", "figure6"]
 
@@ -26,10 +28,10 @@ def text_of(svg: Path) -> str:
     return " ".join(ElementTree.parse(svg).getroot().itertext())
 
 
-def check_files(paths: list[Path], folder: Path, names: list[str]) -> None:
+def check_files(paths: list[Path], folder: Path, names: list[str], least_bytes: int = 5000) -> None:
     assert paths == [folder / f"{name}.{kind}" for name in names for kind in ("png", "svg")]
     for path in paths:
-        assert path.stat().st_size > 5000
+        assert path.stat().st_size > least_bytes
     for path in paths[::2]:
         assert path.read_bytes().startswith(b"\x89PNG")
 
@@ -57,7 +59,43 @@ def test_an_unfinished_run_says_where_its_log_ends(tmp_path: Path) -> None:
     assert "the log ends at 150" in text_of(paths[3])
 
 
-@pytest.mark.parametrize("iterations", [0, 1, 3])
+def test_a_run_of_which_nothing_is_known_is_drawn_with_a_note(tmp_path: Path) -> None:
+    log = Log(tmp_path / "run")
+    log.close()
+    paths = draw(log.run)
+    check_files(paths, log.run, NAMES, least_bytes=1000)
+    assert "no data in this log" in text_of(paths[1])
+    assert "no captures in this log" in text_of(paths[3])
+    assert "no episode has ended in this log" in text_of(paths[5])
+
+
+def test_of_another_machine_the_numbers_of_the_scene_are_drawn(tmp_path: Path) -> None:
+    record = write_run(tmp_path / "run", 200, scenes=of_another_body, experiment=with_another_body())
+    text = text_of(draw(record.run)[5])
+    assert all(word in text for word in ("angle", "height", "actions", "With teacher", "Without"))
+    assert "5, 5, 5, 5 steps; median of all 16 episodes: 5 steps" in text
+    assert "median of all 20 episodes: 5 steps" in text
+
+
+def test_numbers_of_another_machine_are_drawn_with_a_note_where_no_episode_has_ended(tmp_path: Path) -> None:
+    by_chance = write_run(tmp_path / "run", 22, scenes=of_another_body, experiment=with_another_body())
+    assert "no episode has ended in this log" in text_of(draw(by_chance.run)[5])
+    taught = write_run(tmp_path / "taught", 60, scenes=of_another_body, experiment=with_another_body())
+    assert "no episodes in this log" in text_of(draw(taught.run)[5])
+
+
+def test_of_many_numbers_the_first_four_are_drawn(tmp_path: Path) -> None:
+    def many(count: int) -> Scene:
+        shown = scene(count)
+        numbers = {f"number_{place}": float(place + count) for place in range(6)}
+        before = numbers if shown.before else None
+        return structs.replace(shown, before=before, reached=numbers, now=numbers)
+
+    text = text_of(draw(write_run(tmp_path / "run", 60, scenes=many, experiment=with_another_body()).run)[5])
+    assert [f"number_{place}" in text for place in range(6)] == [True] * 4 + [False] * 2
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
 def test_a_run_of_a_few_iterations_is_drawn_with_a_note(tmp_path: Path, iterations: int) -> None:
     log = Log(tmp_path / "run")
     for i in range(iterations):
@@ -98,7 +136,7 @@ def test_the_band_is_as_wide_as_the_standard_error_asks() -> None:
 
 def test_shown_episodes_are_typical_in_length_one_a_side_and_the_earliest_of_equals() -> None:
     def episode(start: int, steps: int, direction_rad: float) -> Episode:
-        return Episode(start, "capture", tuple(place(step, direction_rad) for step in range(steps + 1)))
+        return Episode(start, "capture", True, tuple(place(step, direction_rad) for step in range(steps + 1)))
 
     episodes = [episode(0, 2, 0.3), episode(10, 5, 0.4), episode(20, 5, 0.2), episode(30, 9, 2.0)]
     assert [shown.start for _, shown in typical(episodes)] == [10, 30]

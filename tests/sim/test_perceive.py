@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from mdb_sim.bodies.pioneer.arena import wrap_rad
 from mdb_sim.bodies.pioneer.perceive import fold, locate, perceive, unfold
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
-from mdb_sim.body import Placement, Pose, RobotConfig
+from mdb_sim.bodies.pioneer.world import PioneerConfig, Placement, Pose
 
-CONFIG = RobotConfig()
+CONFIG = PioneerConfig()
 SILENCE = np.full(16, np.nan)
 
 
@@ -56,12 +56,12 @@ def sample_errors(count):
     """Angle errors in degrees, distance errors in metres, and how many readings were empty, all around."""
     rng = np.random.default_rng(2)
     angles_deg, distances_m, empty = [], [], 0
-    with KinematicRobot(CONFIG) as robot:
+    with KinematicRobot() as robot:
         for index in range(count):
             distance_m, phi_rad = rng.uniform(0.25, 1.6), rng.uniform(-math.pi, math.pi)
             reach_m = distance_m + CONFIG.object_radius_m
             place = (reach_m * math.cos(phi_rad), reach_m * math.sin(phi_rad))
-            robot.restore(Placement(Pose(0.0, 0.0, 0.0), *place), 0, seed=index)
+            robot.put(Placement(Pose(0.0, 0.0, 0.0), *place), index)
             reading = robot.sense()
             if not reading:
                 empty += 1

@@ -7,7 +7,7 @@ import pytest
 
 from mdb_sim.bodies.pioneer.sonar import BODY_CENTRE_X_M, TRANSDUCERS, SonarRing
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
-from mdb_sim.body import Placement, Pose, RobotConfig
+from mdb_sim.bodies.pioneer.world import PioneerConfig, Placement, Pose
 
 AT_ORIGIN = Pose(0.0, 0.0, 0.0)
 FAR_OFF = (4.5, 4.5)
@@ -19,12 +19,12 @@ def ring_over(surface_m, cos_incidence=1.0, **config):
     def cast(origins_m, _directions):
         return np.full(len(origins_m), surface_m), np.full(len(origins_m), cos_incidence)
 
-    return SonarRing(RobotConfig(**config)), cast
+    return SonarRing(PioneerConfig(**config)), cast
 
 
-def clean_ranges(robot_pose, object_m, **config):
-    with KinematicRobot(RobotConfig(**config)) as robot:
-        robot.restore(Placement(robot_pose, *object_m), 0, seed=1)
+def clean_ranges(robot_pose, object_m, **options):
+    with KinematicRobot(**options) as robot:
+        robot.put(Placement(robot_pose, *object_m), 1)
         return robot.clean_ranges_m()
 
 
@@ -38,7 +38,7 @@ def test_the_ring_is_the_pioneers():
 
 
 def test_rays_fan_out_about_each_axis_and_turn_with_the_robot():
-    ring = SonarRing(RobotConfig())
+    ring = SonarRing(PioneerConfig())
     origins_m, directions = ring.rays(Pose(1.0, 2.0, math.pi / 2))
     assert origins_m.shape == directions.shape == (16 * 7, 2)
     assert np.hypot(*directions.T) == pytest.approx(1.0)
@@ -48,7 +48,7 @@ def test_rays_fan_out_about_each_axis_and_turn_with_the_robot():
 
 
 def test_a_single_ray_lies_on_the_axis():
-    _, directions = SonarRing(RobotConfig(sonar_rays=1)).rays(AT_ORIGIN)
+    _, directions = SonarRing(PioneerConfig(sonar_rays=1)).rays(AT_ORIGIN)
     expected = np.stack([np.cos(TRANSDUCERS[:, 2]), np.sin(TRANSDUCERS[:, 2])], axis=1)
     assert directions == pytest.approx(expected)
 

@@ -1,5 +1,6 @@
 """The scripted teacher as a service: it commands each scene in its phase's language and judges the action."""
 
+import math
 from typing import Any
 
 import msgspec
@@ -7,7 +8,8 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_sim.body import RobotConfig
+from mdb_sim.body import NOTHING, Numbers
+from mdb_sim.teaching.policies.pioneer import Reach
 from mdb_sim.teaching.schedule import TeacherSection, schedule_of
 from mdb_sim.teaching.service import ScriptedTeacher
 
@@ -21,24 +23,30 @@ AHEAD, LEFT = (1.0, 0.0), (0.0, 1.0)
 NONE, LARGE_LEFT = 0, 6
 
 
-def placement(where: tuple[float, float]) -> messages.Placement:
-    return messages.Placement(x_m=0.0, y_m=0.0, heading_rad=0.0, object_x_m=where[0], object_y_m=where[1])
+def place(where: tuple[float, float], turned_deg: float = 0.0) -> Numbers:
+    """A robot in the middle that has turned so far, and an object."""
+    robot = {"x_m": 0.0, "y_m": 0.0, "heading_rad": math.radians(turned_deg)}
+    return robot | {"object_x_m": where[0], "object_y_m": where[1]}
 
 
-def scene(iteration: int, now: tuple[float, float] = AHEAD, **fields: Any) -> messages.Scene:
-    done = {"action": NONE, "before": placement(AHEAD)} if iteration else {"action": None, "before": None}
-    plain = {"episode": 0, "captures": 0, "event": "none", "reached": placement(now), "now": placement(now)}
+def scene(
+    iteration: int, now: tuple[float, float] = AHEAD, *, turned_deg: float = 0.0, **fields: Any
+) -> messages.Scene:
+    """After a turn at a place where the object was ahead, unless `before` says another."""
+    reached = place(AHEAD, turned_deg)
+    done = {"action": {"turn": turned_deg}, "before": place(AHEAD)} if iteration else {"action": None, "before": None}
+    plain = {"episode": 0, "successes": 0, "event": NOTHING, "reached": reached, "now": place(now)}
     return messages.Scene(iteration=iteration, **(plain | done | fields))
 
 
 class Rig:
-    def __init__(self, phases: list[dict[str, Any]] | None = None) -> None:
+    def __init__(self, phases: list[dict[str, Any]] | None = None, **settings: Any) -> None:
         self.fabric = Fabric()
         self.world = MemoryBus(self.fabric, BRAIN)
         self.heard = {row.path: self.world.subscriber(row) for row in (keys.COMMAND, keys.FEEDBACK, keys.PHASE)}
         self.robot = self.world.publisher(keys.SCENE)
-        section = msgspec.convert({"phase": phases or PHASES}, TeacherSection)
-        self.schedule = schedule_of(section, 1, RobotConfig())
+        section = msgspec.convert({"phase": phases or PHASES} | settings, TeacherSection)
+        self.schedule = schedule_of(section, 1)
         self.teacher = self.start()
 
     def start(self) -> ScriptedTeacher:
@@ -64,8 +72,8 @@ def test_the_first_scene_is_commanded_and_not_judged() -> None:
 
 def test_the_action_is_judged_where_it_was_begun() -> None:
     rig = Rig()
-    rig.show(scene(1, LEFT, action=LARGE_LEFT, before=placement(LEFT)))
-    rig.show(scene(2, LEFT, action=NONE, before=placement(LEFT)))
+    rig.show(scene(1, LEFT, turned_deg=90.0, before=place(LEFT)))
+    rig.show(scene(2, LEFT, before=place(LEFT)))
     feedback = rig.said(keys.FEEDBACK)
     assert [(f.teacher, f.iteration, f.value) for f in feedback] == [("one", 0, 1.0), ("one", 1, -1.0)]
     assert rig.teacher.values() == {"iteration": 2.0, "rewards": 2.0}
@@ -98,12 +106,54 @@ def test_a_restarted_teacher_goes_on_from_the_last_scene() -> None:
     assert [p.iteration for p in rig.said(keys.PHASE)] == [4], "the phase's own beginning"
 
 
-def test_an_action_that_no_teacher_knows_is_counted_and_the_next_command_given() -> None:
+def test_the_motion_is_judged_whatever_the_action_says() -> None:
     rig = Rig()
-    rig.show(scene(1, action=7, before=placement(AHEAD)))
+    rig.show(scene(1, turned_deg=90.0, before=place(LEFT), action={"turn": -90.0}))
+    rig.show(scene(2, turned_deg=-90.0, before=place(LEFT), action={"steer": 90.0}))
+    assert [f.value for f in rig.said(keys.FEEDBACK)] == [1.0, -1.0]
+
+
+def test_a_scene_that_lacks_what_is_to_be_judged_is_counted_and_the_next_command_given() -> None:
+    rig = Rig()
+    rig.show(scene(1, reached={"x_m": 0.0}))
     assert rig.said(keys.FEEDBACK) == []
     assert rig.teacher.bus.refusals.counts[keys.SCENE.path] == 1
     assert [c.iteration for c in rig.said(keys.COMMAND)] == [1]
+
+
+def test_of_a_scene_of_another_body_the_teacher_is_silent_and_it_is_counted() -> None:
+    rig = Rig()
+    rig.show(msgspec.structs.replace(scene(0), reached={"angle": 0.0}, now={"angle": 0.0}))
+    assert [(c.iteration, c.note) for c in rig.said(keys.COMMAND)] == [(0, None)]
+    assert rig.teacher.bus.refusals.counts[keys.SCENE.path] == 1
+
+
+def test_a_teacher_who_wants_nothing_is_silent_and_judges_nothing() -> None:
+    named = {"policy": "mdb_sim.teaching.policies.plain:Named", "options": {"commands": ["come", "go"]}}
+    rig = Rig([{"start": 0, "name": "p", "teacher": "one", "language": "ordered"}], **named)
+    rig.show(scene(0))
+    rig.show(scene(1))
+    assert [(c.iteration, c.note) for c in rig.said(keys.COMMAND)] == [(0, None), (1, None)]
+    assert [f.value for f in rig.said(keys.FEEDBACK) if f.value is not None] == []
+    assert rig.teacher.values()["rewards"] == 0.0
+
+
+class Blind(Reach):
+    """Wants what another does, and cannot tell what was done."""
+
+    def judge(self, *_: Any) -> None:  # type: ignore[override]
+        return None
+
+
+@pytest.mark.parametrize(("named", "iterations"), [(True, [0, 1]), (False, [None, None])])
+def test_who_cannot_tell_what_was_done_says_not_now_in_his_own_way(named: bool, iterations: list[int | None]) -> None:
+    rig = Rig(only(named=named), policy="tests.sim.test_teacher_service:Blind")
+    for iteration in range(3):
+        rig.show(scene(iteration))
+    assert [(f.teacher, f.iteration, f.value) for f in rig.said(keys.FEEDBACK)] == [
+        ("one", iteration, None) for iteration in iterations
+    ]
+    assert [c.note for c in rig.said(keys.COMMAND)] == [0, 0, 0]
 
 
 @pytest.mark.parametrize("name", ["script", "one"])
@@ -172,14 +222,14 @@ def test_praise_that_fades_is_worth_half_after_each_half_life_and_punishment_sta
     said = dict(given(Rig(phases), 27))
     assert (said[5], said[15], said[25]) == (1.0, 0.5, 0.25)
     rig = Rig(phases)
-    rig.show(scene(26, action=LARGE_LEFT))
+    rig.show(scene(26, turned_deg=90.0))
     assert rig.said(keys.FEEDBACK)[0].value == -1.0
 
 
 def test_a_teacher_who_compares_says_less_of_what_is_as_good_as_usual() -> None:
     rig = Rig(only(relative=2))
     assert [value for _, value in given(rig, 5)] == [1.0, 0.5, 0.25, 0.125]
-    rig.show(scene(5, action=LARGE_LEFT))
+    rig.show(scene(5, turned_deg=90.0))
     rig.show(scene(6))
     assert [f.value for f in rig.said(keys.FEEDBACK)] == [-1.0, 1.0], "cut to the range"
 
@@ -188,7 +238,7 @@ def test_a_teacher_who_compares_says_less_of_what_is_as_good_as_usual() -> None:
 def test_a_teacher_may_say_nothing_instead_of_punishing_or_praising(says: str, expected: list[float | None]) -> None:
     rig = Rig(only(says=says))
     rig.show(scene(1))
-    rig.show(scene(2, action=LARGE_LEFT))
+    rig.show(scene(2, turned_deg=90.0))
     assert [f.value for f in rig.said(keys.FEEDBACK)] == expected
 
 
@@ -237,3 +287,13 @@ def test_a_teacher_started_again_at_a_change_of_phase_lets_the_one_before_leave(
     rig.show(scene(3))
     assert [(c.teacher, c.note) for c in rig.said(keys.COMMAND)] == [("script", None)]
     assert [phase.name for phase in rig.said(keys.PHASE)] == ["first", "alone", "alone"], "a late joiner asks for it"
+
+
+@pytest.mark.parametrize("habits", [{}, {"named": False}, {"relative": 2}])
+def test_a_scene_that_is_shown_again_is_judged_once(habits: dict[str, Any]) -> None:
+    once, again = Rig(only(**habits)), Rig(only(**habits))
+    for iteration in range(4):
+        once.show(scene(iteration))
+        for _ in range(3):
+            again.show(scene(iteration))
+    assert again.said(keys.FEEDBACK) == once.said(keys.FEEDBACK)

@@ -4,9 +4,11 @@ import math
 
 import pytest
 
+from mdb_sim.bodies.finding import make_body
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
-from mdb_sim.body import Placement, Pose, RobotConfig, RobotError, make_robot
-from mdb_sim.studies.twins import captures_per_100, compare_bodies, ideal_policy, random_policy
+from mdb_sim.bodies.pioneer.world import Placement, Pose
+from mdb_sim.body import BodyError
+from mdb_sim.studies.twins import captures_per_100, compare_bodies, facing, random_policy
 
 
 @pytest.fixture(scope="module")
@@ -26,17 +28,16 @@ def test_the_bodies_move_alike(comparison):
 
 def test_what_stops_one_body_stops_the_other_at_its_surface():
     pytest.importorskip("pybullet")
-    config = RobotConfig()
-    with make_robot("kinematic", config) as twin, make_robot("pybullet", config) as body:
+    with make_body("kinematic", {}) as twin, make_body("pybullet", {}) as body:
         for bearing_deg in range(30, 65, 5):
             bearing = math.radians(bearing_deg)
             beside = Placement(Pose(0.0, 0.0, 0.0), 0.42 * math.cos(bearing), 0.42 * math.sin(bearing))
-            steps = []
+            events = []
             for robot in (twin, body):
-                robot.restore(beside, 0, seed=1)
-                steps.append(robot.act(0))
-            assert [step.event for step in steps] == ["bump", "bump"]
-            here, there = (step.reached.robot for step in steps)
+                robot.put(beside, 1)
+                events.append(robot.act({"turn": 0.0}).event)
+            assert events == ["bump", "bump"]
+            here, there = twin.placement.robot, body.placement.robot
             assert math.hypot(here.x_m - there.x_m, here.y_m - there.y_m) < 0.006
 
 
@@ -55,15 +56,26 @@ def test_the_table_names_every_quantity(comparison):
 
 
 def test_ideal_and_random_policy_bound_what_can_be_captured():
-    config = RobotConfig()
-    with KinematicRobot(config) as robot:
+    with KinematicRobot() as robot:
         # sim/README.md, "Bounds": 23.7 and 0.85 over 30,000 iterations.
-        assert captures_per_100(robot, ideal_policy(config), 3000, 1) == pytest.approx(23.7, abs=0.8)
-        assert 0.3 < captures_per_100(robot, random_policy(config, 1), 3000, 1) < 2.0
+        assert captures_per_100(robot, facing(), 3000, 1) == pytest.approx(23.7, abs=0.8)
+        assert 0.3 < captures_per_100(robot, random_policy(1), 3000, 1) < 2.0
 
 
 def test_only_simulated_bodies_and_positive_counts_are_compared():
-    with pytest.raises(RobotError, match="expected at least 1 and 0"):
+    with pytest.raises(BodyError, match="expected at least 1 and 0"):
         compare_bodies("kinematic", "kinematic", iterations=0)
-    with pytest.raises(RobotError, match="without"):
-        compare_bodies("builtins:type", "kinematic")
+    with pytest.raises(BodyError, match="without"):
+        compare_bodies("builtins:object", "kinematic")
+    with pytest.raises(BodyError, match="has no simulated arena to compare in"):
+        compare_bodies("kinematic", "tests.conformance.small_bodies:Turntable")
+
+
+def test_bodies_with_other_options_are_compared_and_bounded_for_each_policy():
+    found = compare_bodies("kinematic", "kinematic", {"advance_m": 0.3}, iterations=20, bound_iterations=50)
+    assert found.spreads["kinematic: advance error, mm"].max < 1e-6
+    assert found.spreads["between: place, mm"].max == 0.0
+    assert found.figures["between: same event, %"] == 100.0
+    assert {name for name in found.figures if "captures/100" in name} == {
+        f"kinematic: captures/100, {policy} policy" for policy in ("ideal", "random")
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 KEYS_HELP = "your bundle of 'mdb keys', or on the brain's machine the key folder; for a router at tls/ or quic/"
@@ -29,7 +29,22 @@ def add_experiment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pace", choices=["concurrent", "lockstep"], help="override the file's pace")
     parser.add_argument("--seed", type=int, help="override the file's seed")
     parser.add_argument("--iterations", type=int, help="override the file's number of iterations")
+    parser.add_argument(
+        "--without-pybullet", action="store_true", help="where the file says pybullet, use its kinematic twin"
+    )
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="override any setting")
+
+
+def content_of(path: Path, arguments: argparse.Namespace, *more: str) -> dict[str, Any]:
+    """Return the content of an experiment file, with what the command line changes."""
+    from mdb_services.experiment.reading import read_file
+    from mdb_sim.runs.experiment import placed
+
+    content = placed(read_file(path, [*overrides_of(arguments), *more]), path)
+    robot = content.setdefault("robot", {})
+    if arguments.without_pybullet and isinstance(robot, dict) and robot.get("body", "pybullet") == "pybullet":
+        robot["body"] = "kinematic"
+    return content
 
 
 def overrides_of(arguments: argparse.Namespace) -> list[str]:

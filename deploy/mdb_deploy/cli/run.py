@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, add_keys, overrides_of
+from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, add_keys, content_of
 from mdb_deploy.experiments import experiment_path
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
@@ -53,7 +53,9 @@ def _prepare(arguments: argparse.Namespace) -> int:
     from mdb_services.experiment.brain import EXPERIMENT_FILE
     from mdb_sim.runs.experiment import Experiment
 
-    experiment = Experiment.read(experiment_path(arguments.experiment), overrides_of(arguments))
+    path = experiment_path(arguments.experiment)
+    experiment = Experiment(content_of(path, arguments), path)
+    experiment.check_machine()
     arguments.run.mkdir(parents=True, exist_ok=True)
     experiment.write(arguments.run / EXPERIMENT_FILE)
     return 0

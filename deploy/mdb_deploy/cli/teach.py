@@ -42,7 +42,7 @@ def add(commands: Commands) -> None:
         "--experiment",
         type=experiment_path,
         metavar="FILE",
-        help="whose [robot.world] says what the actions are, whose [ear] the scale",
+        help="whose [teacher] says what can be wanted, whose [ear] the scale",
     )
     teach.add_argument("--sound", metavar="INSTRUMENT", help="play the notes instead of naming them, as in flute")
     teach.add_argument("--microphone", action="store_true", help="the brain hears your microphone (extra 'sound')")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, keys_path, overrides_of
+from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, content_of, keys_path
 from mdb_deploy.cli.plot import draw
 from mdb_deploy.experiments import experiment_path
 from mdb_protocol.errors import MdbError
@@ -42,17 +42,14 @@ def _up(arguments: argparse.Namespace) -> int:
     from mdb_deploy.running.progress import Progress
     from mdb_deploy.running.up import UpOptions, check_listen, new_run_folder, up_inline, up_processes
     from mdb_services.experiment.brain import EXPERIMENT_FILE
-    from mdb_services.experiment.reading import read_file
     from mdb_sim.runs.experiment import Experiment
 
-    overrides = overrides_of(arguments)
-    if arguments.inline:
-        overrides.append("experiment.pace=lockstep")
     path = experiment_path(arguments.experiment) if arguments.resume is None else arguments.resume / EXPERIMENT_FILE
-    content = read_file(path, overrides)
+    content = content_of(path, arguments, *(("experiment.pace=lockstep",) if arguments.inline else ()))
     if arguments.no_teacher:
         content.pop("teacher", None)
     experiment = Experiment(content, path)
+    experiment.check_machine()
     section = experiment.brain.experiment
     if not arguments.inline:
         check_listen(arguments.listen, arguments.keys, section.brain, open_to_everyone=arguments.open_to_everyone)
@@ -80,7 +77,7 @@ def _up(arguments: argparse.Namespace) -> int:
         bundle = " --keys YOUR_BUNDLE" if arguments.keys else ""
         console.print(f"begins when somebody teaches: mdb teach --connect {listen}{bundle}", soft_wrap=True)
     run_it = up_inline if arguments.inline else up_processes
-    status = run_it(experiment, options, Progress(console, section.iterations))
+    status = run_it(experiment, options, Progress(console, experiment))
     if not arguments.no_plot:
         console.print("drawing the figures")
         draw([run], None)

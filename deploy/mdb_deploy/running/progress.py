@@ -1,4 +1,4 @@
-"""What the user sees of a run: one display with iteration, phase, captures, errors and obedience.
+"""What the user sees of a run: one display with iteration, phase, successes, errors and obedience.
 
 On a terminal it is drawn in place; elsewhere a line is written at every tenth of the run.
 """
@@ -13,7 +13,9 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainin
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from mdb_protocol.messages import CurrentModel, IterationReport, Phase
+from mdb_protocol.messages import CurrentModel, IterationReport, Phase, Scene
+from mdb_sim.runs.experiment import Experiment
+from mdb_sim.teaching.policy import obeyed
 
 RECENT = 40
 LINES = 10
@@ -22,12 +24,14 @@ LINES = 10
 class Progress:
     """A context manager that shows reports as they come."""
 
-    def __init__(self, console: Console, iterations: int) -> None:
-        self._console, self._iterations = console, iterations
+    def __init__(self, console: Console, experiment: Experiment) -> None:
+        self._console, self._iterations = console, experiment.brain.experiment.iterations
+        self._schedule = experiment.schedule() if experiment.teacher is not None else None
+        self._scenes: dict[int, Scene] = {}
         self._obeyed: deque[bool] = deque(maxlen=RECENT)
         self._errors: dict[str, float] = {}
         self._prequential: dict[str, deque[float]] = {}
-        self._captures = self._done = self._lines = 0
+        self._successes = self._done = self._lines = 0
         self._mode = self._phase = ""
         self._ready: list[str] = []
         self._bar = Bar(
@@ -38,7 +42,7 @@ class Progress:
             TimeRemainingColumn(),
             console=console,
         )
-        self._task = self._bar.add_task("run", total=iterations)
+        self._task = self._bar.add_task("run", total=self._iterations)
         self._live = Live(get_renderable=self._render, console=console, refresh_per_second=8, transient=False)
 
     def __enter__(self) -> Progress:
@@ -69,9 +73,8 @@ class Progress:
         """An iteration is done."""
         self._done = report.iteration + 1
         self._mode = report.mode
-        self._captures += report.event == "capture"
-        if report.feedback is not None:
-            self._obeyed.append(report.feedback == 1.0)
+        if (obeyed := self._is_obeyed(report)) is not None:
+            self._obeyed.append(obeyed)
         for name, error in report.prequential.items():
             self._prequential.setdefault(name, deque(maxlen=RECENT)).append(error)
         self._bar.update(self._task, completed=self._done)
@@ -79,9 +82,24 @@ class Progress:
             self._lines = self._done * LINES // self._iterations
             self._console.print(f"iteration {self._done}/{self._iterations}  {self._words()}", soft_wrap=True)
 
+    def scene(self, scene: Scene) -> None:
+        """A scene is seen; not each is, where they follow fast."""
+        self._successes = scene.successes
+        self._scenes[scene.iteration] = scene
+        if len(self._scenes) > RECENT:
+            del self._scenes[min(self._scenes)]
+
+    def _is_obeyed(self, report: IterationReport) -> bool | None:
+        """Whether what a scripted teacher's note meant was done, if that was seen."""
+        scene = self._scenes.get(report.iteration + 1)
+        if scene is None or self._schedule is None or report.note is None:
+            return None
+        language = self._schedule.at(report.iteration).language
+        return None if language is None else obeyed(self._schedule.policy, language, report.note, scene)
+
     def _words(self) -> str:
         phase = f"{self._phase}: " if self._phase else ""
-        seen = f"captures {self._captures}  obedience {self._obedience()}"
+        seen = f"successes {self._successes}  obedience {self._obedience()}"
         return f"{phase}{self._mode}  {seen}  error before learning: {self._before_learning()}"
 
     def _obedience(self) -> str:
@@ -99,7 +117,7 @@ class Progress:
             self._bar,
             Text.assemble(("phase      ", "bold"), f"{self._phase or '-'}   acting on: {self._mode}"),
             Text.assemble(
-                ("captures   ", "bold"), f"{self._captures}   obedience (last {RECENT}): {self._obedience()}"
+                ("successes  ", "bold"), f"{self._successes}   obedience (last {RECENT}): {self._obedience()}"
             ),
             Text.assemble(("error      ", "bold"), f"before learning: {self._before_learning()}"),
             Text.assemble(("           ", "bold"), f"over the memory: {memory or '-'}"),

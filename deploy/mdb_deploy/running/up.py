@@ -75,7 +75,12 @@ def up_inline(experiment: Experiment, options: UpOptions, progress: Progress) ->
     signal.signal(signal.SIGINT, lambda *_: told.append(1))
     with progress:
         run_experiment(
-            experiment, options.run, on_iteration=progress.report, stop=lambda: bool(told), gui=options.gui
+            experiment,
+            options.run,
+            on_iteration=progress.report,
+            on_scene=progress.scene,
+            stop=lambda: bool(told),
+            gui=options.gui,
         )
     return ENDED_BY_USER if told else 0
 
@@ -180,6 +185,7 @@ class _Watch:
         except BusError:
             return
         self._reports = self._bus.subscriber(keys.ITERATION)
+        self._scenes = self._bus.subscriber(keys.SCENE)
         self._phases = self._bus.subscriber(keys.PHASE)
         self._models = self._bus.subscriber(keys.CURRENT_MODEL)
         self._finished = self._bus.subscriber(keys.FINISHED)
@@ -192,6 +198,8 @@ class _Watch:
             progress.phase(phase)
         while (model := self._models.take()) is not None:
             progress.model(model)
+        while (scene := self._scenes.take()) is not None:
+            progress.scene(scene)
         while (report := self._reports.take()) is not None:
             progress.report(report)
             moved = True

@@ -12,11 +12,11 @@ import msgspec
 
 from mdb_deploy.running.processes import ENDPOINT_FILE
 from mdb_protocol.errors import ConfigError, MdbError
-from mdb_services.memory import rescue as memory_rescue
 from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.memory import rescue as memory_rescue
 from mdb_services.memory.rescue import Salvage
-from mdb_sim.runs.experiment import ROBOT_FILE, Experiment
 from mdb_sim.robot.state_file import StateFile
+from mdb_sim.runs.experiment import ROBOT_FILE, Experiment
 
 LEFT_BEHIND = (f"{MEMORY_FILE}*", ENDPOINT_FILE, "lock", "logs")
 

@@ -13,10 +13,10 @@ ERROR_MEAN = 40
 """Reports in the running mean of a model's error (sim/README.md, "Errors, told apart")."""
 OBEDIENCE_OF = 20
 """Commands that obedience is the share of."""
-CAPTURES_IN = 100
-"""Iterations over which the rate of captures is taken."""
+SUCCESSES_IN = 100
+"""Iterations over which the rate of successes is taken."""
 FEW = 10
-"""Iterations that must have been seen before a rate of captures says anything (ours)."""
+"""Iterations that must have been seen before a rate of successes says anything (ours)."""
 KEPT, SHOWN = 256, 40
 """Iterations remembered, and those of them that are shown."""
 
@@ -32,9 +32,7 @@ class Record:
         self._exchanges: dict[int, Exchange] = {}
         self._sent_s: dict[int, float] = {}
         self._errors: dict[str, deque[float]] = {}
-        self._captures: deque[tuple[int, int]] = deque()
-        self._trail: deque[tuple[float, float]] = deque(maxlen=KEPT)
-        self._scene: messages.Scene | None = None
+        self._successes: deque[tuple[int, int]] = deque()
         self._latency = Latency()
 
     def exchange(self, iteration: int) -> Exchange:
@@ -62,26 +60,21 @@ class Record:
             self.without_effect = 0 if heard else self.without_effect + 1
             self.note_down(iteration, heard=heard)
 
-    def see(self, scene: messages.Scene, now_s: float) -> None:
-        """Take in a scene."""
-        last, self._scene = self._scene, scene
+    def see(self, scene: messages.Scene, now_s: float, *, did: int | None, obeyed: bool | None) -> None:
+        """Take in a scene, and what is thought of the action that led to it."""
         if scene.action is not None:
-            self.note_down(scene.iteration - 1, action=scene.action)
+            self.note_down(scene.iteration - 1, did=did, obeyed=obeyed)
             if (sent_s := self._sent_s.get(scene.iteration - 1)) is not None:
                 self._latency = replace(self._latency, to_action_s=now_s - sent_s)
-        if last is None or scene.event != "none" or scene.episode != last.episode:
-            self._trail.clear()
-        self._trail.append((scene.now.x_m, scene.now.y_m))
-        self._captures.append((scene.iteration, scene.captures))
-        while self._captures[0][0] < scene.iteration - CAPTURES_IN:
-            self._captures.popleft()
+        self._successes.append((scene.iteration, scene.successes))
+        while self._successes[0][0] < scene.iteration - SUCCESSES_IN:
+            self._successes.popleft()
 
     def read(self, report: messages.IterationReport, now_s: float) -> None:
         """Take in the brain's own word on an iteration: whom it obeyed, how well it had foreseen what came."""
         for model, error in report.prequential.items():
             self._errors.setdefault(model, deque(maxlen=ERROR_MEAN)).append(error)
         self._reported = report.iteration
-        self.note_down(report.iteration, action=report.action)
         self._take_effect(report.iteration, heard=report.teacher == self._teacher)
         if (sent_s := self._sent_s.pop(report.iteration, None)) is not None:
             self._latency = replace(self._latency, to_report_s=now_s - sent_s)
@@ -93,21 +86,20 @@ class Record:
     def measures(self) -> dict[str, Any]:
         """Return what follows, by the names in `View`."""
         newest = [self._exchanges[i] for i in sorted(self._exchanges, reverse=True)]
-        commands = [e for e in newest if e.command is not None and e.action is not None][:OBEDIENCE_OF]
-        obeyed = sum(e.action == e.command for e in commands)
+        commands = [e for e in newest if e.command is not None and e.obeyed is not None][:OBEDIENCE_OF]
+        obeyed = sum(e.obeyed is True for e in commands)
         return {
-            "trail": tuple(self._trail),
             "exchanges": tuple(newest[:SHOWN]),
             "errors": {model: sum(recent) / len(recent) for model, recent in self._errors.items()},
             "obedience": obeyed / len(commands) if commands else None,
             "judged": len(commands),
-            "captures": self._captures[-1][1] if self._captures else 0,
-            "captures_per_100": self._capture_rate(),
+            "successes": self._successes[-1][1] if self._successes else 0,
+            "successes_per_100": self._success_rate(),
             "latency": self._latency,
         }
 
-    def _capture_rate(self) -> float | None:
-        if not self._captures:
+    def _success_rate(self) -> float | None:
+        if not self._successes:
             return None
-        (first, had), (last, has) = self._captures[0], self._captures[-1]
-        return CAPTURES_IN * (has - had) / (last - first) if last - first >= FEW else None
+        (first, had), (last, has) = self._successes[0], self._successes[-1]
+        return SUCCESSES_IN * (has - had) / (last - first) if last - first >= FEW else None

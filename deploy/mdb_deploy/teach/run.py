@@ -22,10 +22,12 @@ from mdb_protocol.errors import ConfigError, MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.reading import convert, read_file
 from mdb_services.experiment.sections import EarSection
-from mdb_sim.body import RobotConfig
+from mdb_sim.teaching.languages import Language, TeacherError, make_language
+from mdb_sim.teaching.policies.pioneer import Reach
+from mdb_sim.teaching.policies.plain import Named
+from mdb_sim.teaching.policy import Policy, make_policy
 from mdb_sim.teaching.service import ROLE
 from mdb_sim.teaching.sound import Player, SoundSection
-from mdb_sim.teaching.teacher import Language, TeacherError, make_language
 
 BRAIN, NAME = "pioneer", "teacher"
 ENDED_BY_SIGNAL = 130
@@ -53,10 +55,11 @@ class TeachOptions:
 
 def teach(options: TeachOptions) -> int:
     """Teach until the person leaves; return the exit status. MdbError when that cannot be, or failed."""
-    content = read_file(options.experiment) if options.experiment is not None else {}
-    world, source = world_of(content, options.experiment), options.experiment
-    player = player_of(options.sound, content, source, len(world.turns_deg)) if options.sound else None
-    language = language_of(options.language, world)
+    source = options.experiment
+    content = read_file(source) if source is not None else {}
+    policy = policy_of(content, source)
+    player = player_of(options.sound, content, source, len(policy.commands)) if options.sound else None
+    language = language_of(options.language, policy)
     brain, name = who(options)
     sys.stderr.write(f"joining {brain} at {options.connect} as {name}\n")
     kept = keep_log()
@@ -64,7 +67,7 @@ def teach(options: TeachOptions) -> int:
         if f"{ROLE}/{name}" in bus.alive():
             raise MdbError(f"somebody teaches {brain} as {name} already; choose another --name")
         session = TeachingSession(
-            bus, name, language, world, auto=options.auto, player=player, listens=options.microphone
+            bus, name, language, policy, auto=options.auto, player=player, listens=options.microphone
         )
         app = TeachApp(session, options.connect, suggest=options.suggest)
         microphone = Microphone()
@@ -98,26 +101,39 @@ async def _until_left(app: TeachApp) -> int:
     return app.return_code or 0 if status is None else status
 
 
-def world_of(content: Mapping[str, Any], source: Path | None) -> RobotConfig:
-    """Return the robot's world of an experiment file's content; ConfigError when it cannot be taught."""
-    world = convert(content.get("robot", {}).get("world", {}), RobotConfig, source)
-    if len(world.turns_deg) > len(NOTE_KEYS):
-        raise ConfigError(f"{source}: {len(world.turns_deg)} actions; there are keys for {len(NOTE_KEYS)}")
-    return world
+def policy_of(content: Mapping[str, Any], source: Path | None) -> Policy:
+    """Return what can be wanted of a robot, by its experiment file's content; ConfigError when it cannot be taught.
+
+    By the file's teacher, or else one command a choice. Without a file: what the paper's teacher wants.
+    """
+    section = content.get("teacher", {})
+    choices = [str(choice.get("name")) for choice in content.get("choice", [])]
+    if source is None:
+        return Reach()
+    try:
+        if "policy" in section or not choices:
+            policy = make_policy(section.get("policy", "reach"), section.get("options", {}), source.resolve().parent)
+        else:
+            policy = Named(choices)
+    except TeacherError as error:
+        raise ConfigError(f"{source}: teacher: {error}") from error
+    if len(policy.commands) > len(NOTE_KEYS):
+        raise ConfigError(f"{source}: {len(policy.commands)} commands; there are keys for {len(NOTE_KEYS)}")
+    return policy
 
 
 def player_of(instrument: str, content: Mapping[str, Any], source: Path | None, notes: int) -> Player:
     """Return who plays the notes in the scale of the file's `[ear]`; ConfigError when that cannot be."""
     ear = convert(content.get("ear", {}), EarSection, source)
     if len(ear.notes_hz) != notes:
-        raise ConfigError(f"{source}: ear.notes_hz has {len(ear.notes_hz)} notes; expected {notes}, one an action")
+        raise ConfigError(f"{source}: ear.notes_hz has {len(ear.notes_hz)} notes; expected {notes}, one a command")
     return Player(convert({"instrument": instrument}, SoundSection, "--sound"), ear.notes_hz, seed=0)
 
 
-def language_of(name: str, world: RobotConfig) -> Language:
-    """Return the language of this name for this robot's actions; ConfigError when there is none."""
+def language_of(name: str, policy: Policy) -> Language:
+    """Return the language of this name for these commands; ConfigError when there is none."""
     try:
-        return make_language(name, world.turns_deg)
+        return make_language(name, policy.order)
     except TeacherError as error:
         raise ConfigError(f"--language: {error}") from error
 

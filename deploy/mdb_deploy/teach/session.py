@@ -23,11 +23,12 @@ from mdb_deploy.teach.view import View
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError
-from mdb_sim.body import RobotConfig
-from mdb_sim.placements import placement_of
+from mdb_sim.teaching.languages import Language
+from mdb_sim.teaching.policies.pioneer import Reach
+from mdb_sim.teaching.policies.plain import Named
+from mdb_sim.teaching.policy import OBEYED, Policy, likest
 from mdb_sim.teaching.service import ROLE
 from mdb_sim.teaching.sound import Player
-from mdb_sim.teaching.teacher import Language, graded_feedback, wanted_action
 
 BRAIN_ROLE, EAR_ROLE = "optimizer", "ear"
 """Whose liveliness token means that a brain is at work, and that somebody listens to sound."""
@@ -51,21 +52,25 @@ class TeachingSession:
         bus: Bus,
         name: str,
         language: Language,
-        world: RobotConfig | None = None,
+        policy: Policy | None = None,
         *,
         auto: bool = False,
         player: Player | None = None,
         listens: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Listen; presence begins with the token that `service.announce` declares."""
-        self.bus, self.instance, self.world = bus, name, world or RobotConfig()
+        """Listen; presence begins with the token that `service.announce` declares.
+
+        `policy`: what can be wanted, and what of it is right; the paper's, if it is None.
+        """
+        self.bus, self.instance, self.policy = bus, name, policy or Reach()
         self._view = self.view = View(language)
         self._auto, self._player, self._sounds, self._clock = auto, player, listens or player is not None, clock
         self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._record = Record(name)
         self._admitted: bool | None = None
         self._scenes = bus.subscriber(keys.SCENE)
+        self._pictures = bus.subscriber(keys.PICTURE)
         self._perceptions = bus.subscriber(keys.PERCEPTION)
         self._reports = bus.subscriber(keys.ITERATION)
         self._timings = bus.subscriber(keys.TIMING)
@@ -74,6 +79,9 @@ class TeachingSession:
         self._commands = bus.publisher(keys.COMMAND, teacher=name)
         self._feedback = bus.publisher(keys.FEEDBACK, teacher=name)
         self._audio = bus.publisher(keys.AUDIO, teacher=name)
+        self._lessons = bus.publisher(keys.LESSON, teacher=name)
+        self._announced: Language | None = None
+        """What was said of the notes to those who watch."""
 
     def command(self, note: int | None) -> None:
         """Say a note for the action that comes next, or silence; from any thread."""
@@ -89,7 +97,7 @@ class TeachingSession:
 
     def speak(self, language: Language) -> None:
         """Mean something else by the notes from now on; from any thread."""
-        self._order(partial(self._show, language=language))
+        self._order(partial(self._speak, language))
 
     def microphone(self, samples: NDArray[np.int16], rate_hz: int) -> None:
         """Pass on what a microphone hears, samples (n,); from any thread."""
@@ -126,6 +134,9 @@ class TeachingSession:
         if (scene := self._scenes.take()) is not None:
             self._see(scene)
             moved = True
+        if (picture := self._pictures.take()) is not None:
+            self._show(picture=picture)
+            moved = True
         while (heard := self._heard.take()) is not None:
             self._be_heard(heard)
             moved = True
@@ -149,21 +160,54 @@ class TeachingSession:
         if last is not None and scene.iteration < last.iteration:  # another run, which counts anew
             self._record = Record(self.instance)
             self._show(report=None)
-        self._record.see(scene, self._clock())
-        wanted = wanted_action(placement_of(scene.now), self.world.turns_rad)
+        did, obeyed = self._seen(scene)
+        self._record.see(scene, self._clock(), did=did, obeyed=obeyed)
+        wanted = self.policy.want(scene.now) if set(self.policy.needs) <= set(scene.now) else None
         self._show(scene=scene, wanted=wanted, finished=False)
+        self._announce(scene.iteration)
         if self._view.paused:
             self._command(None)
         elif self._auto:
             self._teach(scene, wanted)
 
-    def _teach(self, scene: messages.Scene, wanted: int) -> None:
+    def _speak(self, language: Language) -> None:
+        """Change the language; the note of this scene, if it is not said yet, has the new meaning already."""
+        self._show(language=language)
+        if (scene := self._view.scene) is not None:
+            self._announce(scene.iteration + self._record.exchange(scene.iteration).spoke)
+
+    def _announce(self, iteration: int) -> None:
+        """Say to those who watch, and to the log, what the notes mean from now on."""
+        language = self._view.language
+        if language is not self._announced:
+            commands, notes = list(self.policy.commands), list(language.notes)
+            self._lessons.put(
+                messages.Lesson(teacher=self.instance, iteration=iteration, commands=commands, notes=notes)
+            )
+            self._announced = language
+
+    def _seen(self, scene: messages.Scene) -> tuple[int | None, bool | None]:
+        """Return the command that what happened is most like, and whether what was meant happened; None: unknown."""
+        before, knows = scene.before, not isinstance(self.policy, Named)
+        if before is None or not knows or not set(self.policy.needs) <= set(before) & set(scene.reached):
+            return None, None
+        did = likest(self.policy, before, scene.reached, scene.event)
+        meant = self._record.exchange(scene.iteration - 1).command
+        if meant is None:
+            return did, None
+        worth = self.policy.judge(before, scene.reached, scene.event, meant)
+        return did, None if worth is None else worth >= OBEYED
+
+    def _teach(self, scene: messages.Scene, wanted: int | None) -> None:
         """Do as the scripted teacher does: judge the last action, command the next."""
-        done = self._record.exchange(scene.iteration - 1)
-        if done.command is not None and done.feedback is None and scene.before and scene.action is not None:
-            before = wanted_action(placement_of(scene.before), self.world.turns_rad)
-            self._judge(done.iteration, graded_feedback(before, scene.action, self.world.turns_deg))
-        self._command(self._view.language.note(wanted))
+        done, before = self._record.exchange(scene.iteration - 1), scene.before
+        if done.command is not None and done.feedback is None and before is not None:
+            was_wanted = self.policy.want(before)
+            if was_wanted is not None:
+                judgement = self.policy.judge(before, scene.reached, scene.event, was_wanted)
+                if judgement is not None:
+                    self._judge(done.iteration, judgement)
+        self._command(None if wanted is None else self._view.language.note(wanted))
 
     def _command(self, note: int | None) -> None:
         scene = self._view.scene
@@ -254,7 +298,7 @@ class TeachingSession:
         """Say why reports do not show this teacher's commands."""
         holder = self._view.report.holder if self._view.report else None
         if holder not in (None, self.instance):
-            return f"{holder} holds the word: the brain does not hear your commands until {holder} is silent or gone"
+            return f"{holder} is being obeyed: the brain does not hear your commands until {holder} is silent or gone"
         return (
             f"your commands do not arrive: the router does not let you teach as {self.instance}, "
             "or your notes come too late"
@@ -279,4 +323,8 @@ class TeachingSession:
         }
 
     def close(self) -> None:
-        """Nothing to free; presence ends when the bus is closed."""
+        """Say that the lesson is over; presence ends when the bus is closed."""
+        scene = self._view.scene
+        if self._announced is not None and scene is not None:
+            at = scene.iteration
+            self._lessons.put(messages.Lesson(teacher=self.instance, iteration=at, commands=[], notes=[], over=True))

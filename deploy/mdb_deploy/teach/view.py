@@ -6,21 +6,23 @@ import math
 from dataclasses import dataclass, field
 
 from mdb_protocol import messages
-from mdb_sim.teaching.teacher import Language
+from mdb_sim.teaching.languages import Language
 
 
 @dataclass(frozen=True)
 class Exchange:
     """One iteration as this teacher lived it: what it said, what it saw the robot do, how it judged.
 
-    `command` is what `note` meant when it was said; `heard`: whether the brain's report names this teacher.
+    `command` is what `note` meant when it was said; `did`: the command that what happened is most like; `obeyed`:
+    whether what was meant happened; `heard`: whether the brain's report names this teacher.
     """
 
     iteration: int
     spoke: bool = False
     note: int | None = None
     command: int | None = None
-    action: int | None = None
+    did: int | None = None
+    obeyed: bool | None = None
     feedback: float | None = None
     heard: bool | None = None
 
@@ -45,8 +47,7 @@ class View:
     language: Language
     scene: messages.Scene | None = None
     perception: messages.Perception | None = None
-    trail: tuple[tuple[float, float], ...] = ()
-    """x_m, y_m where the robot came through in this episode."""
+    picture: messages.Picture | None = None
     report: messages.IterationReport | None = None
     exchanges: tuple[Exchange, ...] = ()
     """The last iterations seen, the newest first."""
@@ -55,11 +56,11 @@ class View:
     obedience: float | None = None
     """Share of the last `judged` commands after which the robot did what was meant."""
     judged: int = 0
-    captures: int = 0
-    captures_per_100: float | None = None
+    successes: int = 0
+    successes_per_100: float | None = None
     latency: Latency = Latency()
     wanted: int | None = None
-    """The action that would best face the object now."""
+    """The command that would be right now."""
     others: tuple[str, ...] = ()
     """The other teachers who are there."""
     paused: bool = False
@@ -69,13 +70,6 @@ class View:
     notice: str | None = None
     """What became of the last key, where it is not what was asked for."""
     noticed_s: float = -math.inf
-
-
-def meaning(turn_deg: float) -> str:
-    """Return the words for an action: "left 45", "ahead"."""
-    if turn_deg == 0:
-        return "ahead"
-    return f"{'left' if turn_deg > 0 else 'right'} {abs(turn_deg):g}"
 
 
 def swapped(language: Language, command: int, note: int) -> Language:

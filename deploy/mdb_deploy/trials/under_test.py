@@ -25,7 +25,7 @@ from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE
 from mdb_services.experiment.reading import read_file
-from mdb_sim.runs.experiment import Experiment
+from mdb_sim.runs.experiment import Experiment, placed
 
 START_S = 100.0
 STOP_S = 10.0
@@ -43,7 +43,7 @@ class BrainError(MdbError):
 
 def long_experiment(file: Path, overrides: Iterable[str], iterations: int) -> Experiment:
     """Return an experiment of at least so many iterations: its phases come again and again, in order."""
-    content = read_file(file, overrides)
+    content = placed(read_file(file, overrides), file)
     experiment = Experiment(content, file)
     length = experiment.brain.experiment.iterations
     rounds = -(-iterations // length)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mdb_protocol import messages
-from mdb_services.mechanism.choice import Known
+from mdb_services.mechanism.actions.foresight import Known
 from mdb_services.mechanism.networks.encoding import Codebook
 from mdb_services.mechanism.networks.network import Network
 from mdb_services.shell.facts import facts_of

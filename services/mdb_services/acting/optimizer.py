@@ -10,14 +10,11 @@ what the robot gives back of its last intention, so that a pair is neither lost 
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from typing import Any
 
 import msgspec
-import numpy as np
 import structlog
-from numpy.typing import NDArray
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
@@ -30,7 +27,7 @@ from mdb_services.acting.teachers import Teachers
 from mdb_services.acting.verdicts import Verdicts
 from mdb_services.acting.waits import Waits
 from mdb_services.experiment.brain import BrainConfig
-from mdb_services.mechanism.choice import Choice, choose
+from mdb_services.mechanism.actions.choice import Choice, choose
 from mdb_services.mechanism.networks import streams
 from mdb_services.mechanism.networks.encoding import Codebook, gather
 from mdb_services.shell.elsewhere import Elsewhere
@@ -42,8 +39,6 @@ QUERY_S = 2.0
 """Bound on asking the memory store; without an answer the next step asks again."""
 ENDING_S = 5.0
 """Bound on waiting for the last acknowledgements before the experiment is called finished."""
-NOT_TRIED = -1
-"""In place of an iteration, for an action that was not tried yet."""
 
 
 class Optimizer:
@@ -75,9 +70,7 @@ class Optimizer:
         self._elsewhere = Elsewhere()
         self._teachers = Teachers(config.optimizer.word, config.optimizer.feedback_window)
         self._verdicts = Verdicts(config, self._teachers)
-        self._tried: defaultdict[int | None, NDArray[np.int64]] = defaultdict(
-            lambda: np.full(config.optimizer.actions, NOT_TRIED)
-        )
+        self._space = config.space()
         self._perceptions = bus.subscriber(keys.PERCEPTION)
         self._actions = bus.publisher(keys.ACTION)
         self._outbox = Outbox(bus.publisher(keys.PAIR), config.optimizer.resend_s)
@@ -145,10 +138,11 @@ class Optimizer:
             return False
         progress = answers[0]
         self._next, self._models.required = progress.iteration, progress.versions
-        tried = zip(progress.notes.tolist(), progress.actions.tolist(), progress.iterations.tolist(), strict=True)
-        for note, action, iteration in tried:
-            if 0 <= action < self._settings.actions:
-                self._tried[note if note >= 0 else None][action] = iteration
+        for pair in sorted((*progress.judged, *progress.unjudged), key=lambda pair: pair.iteration):
+            self._space.remember(pair.note, pair.iteration, pair.action, pair.choice)
+        tried = zip(progress.notes.tolist(), progress.choices.tolist(), progress.iterations.tolist(), strict=True)
+        for note, choice, iteration in tried:
+            self._space.remember(note if note >= 0 else None, iteration, {}, choice)
         self._verdicts.go_on(progress)
         if progress.iteration:
             log.info("going on", iteration=progress.iteration)
@@ -173,6 +167,8 @@ class Optimizer:
         self._stamp = perception.stamp
         if shown > due or not self._began:
             self._begin(perception, now)
+        elif shown == due and isinstance(stage, Deciding):
+            stage.perception = perception  # a robot that goes on while it waits perceives something else
         elif (
             shown == due
             and isinstance(stage, Acting)
@@ -204,11 +200,11 @@ class Optimizer:
             return False
         self._next = action.iteration  # what is between was sent, and may be stored by now
         meant = action.intention
-        choice = Choice(action.action, meant.mode, meant.explored, meant.predicted)
+        choice = Choice(action.action, action.choice, meant.mode, meant.explored, meant.predicted)
         acted = Acting(action=action, meant=meant, choice=choice, models=None, started_s=now, acted_s=now, sent_s=now)
         self._enter(Judging(acted=acted, outcome=perception, outcome_s=now))
         self._teachers.holder = meant.holder
-        self._tried[meant.note][action.action] = action.iteration
+        self._space.remember(meant.note, action.iteration, action.action, action.choice)
         return True
 
     # ---- the action ----
@@ -237,12 +233,13 @@ class Optimizer:
             self._modes,
             models,
             gather(before=reading, note=note),
-            self._tried[note],
-            streams.generator(self._experiment.seed, "optimizer", iteration),
+            self._space,
+            note=note,
+            rng=streams.generator(self._experiment.seed, "optimizer", iteration),
             errors=self._models.errors,
             forced_exploration=iteration < self._settings.random_iterations,
         )
-        self._tried[note][choice.action] = iteration
+        self._space.remember(note, iteration, choice.action, choice.choice)
         meant = messages.Intention(
             before=reading,
             note=note,
@@ -255,7 +252,7 @@ class Optimizer:
         )
         now = self._clock()
         return Acting(
-            action=self._send_action(iteration, choice.action, meant),
+            action=self._send_action(iteration, choice, meant),
             meant=meant,
             choice=choice,
             models=models,
@@ -265,11 +262,12 @@ class Optimizer:
             gave_up=deciding.gave_up,
         )
 
-    def _send_action(self, iteration: int, action: int, meant: messages.Intention) -> messages.Action:
+    def _send_action(self, iteration: int, choice: Choice, meant: messages.Intention) -> messages.Action:
         """Send an action with the stamp of the newest perception, which is how long it is valid from."""
         sent = messages.Action(
             iteration=iteration,
-            action=action,
+            action=choice.action,
+            choice=choice.choice,
             valid_for_s=self._settings.action_valid_s,
             stamp=self._stamp,
             intention=meant,
@@ -280,7 +278,7 @@ class Optimizer:
     def _resend_action(self, acting: Acting) -> bool:
         if self._clock() - acting.sent_s >= self._settings.resend_s:
             acting.sent_s = self._clock()
-            acting.action = self._send_action(acting.iteration, acting.choice.action, acting.meant)
+            acting.action = self._send_action(acting.iteration, acting.choice, acting.meant)
         return False
 
     # ---- the pair ----
@@ -299,6 +297,7 @@ class Optimizer:
             before=acted.meant.before,
             note=acted.meant.note,
             action=acted.choice.action,
+            choice=acted.choice.choice,
             after=judging.outcome.outcome,
             feedback=None,
             versions=acted.meant.versions,
@@ -322,6 +321,7 @@ class Optimizer:
                 iteration=pair.iteration,
                 mode=acted.choice.mode,
                 action=pair.action,
+                choice=pair.choice,
                 explored=acted.choice.explored,
                 predicted=acted.choice.predicted,
                 note=pair.note,
@@ -370,4 +370,6 @@ class Optimizer:
 
 def differs(done: messages.Action | None, wanted: messages.Action) -> bool:
     """Whether the robot did something else than was wanted: what an optimizer before us had wanted."""
-    return done is not None and (done.action, done.intention) != (wanted.action, wanted.intention)
+    if done is None:
+        return False
+    return (done.action, done.choice, done.intention) != (wanted.action, wanted.choice, wanted.intention)

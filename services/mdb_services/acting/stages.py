@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from mdb_protocol import messages
-from mdb_services.mechanism.choice import Choice, Known
+from mdb_services.mechanism.actions.choice import Choice
+from mdb_services.mechanism.actions.foresight import Known
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ class Teachers:
         """Feedback is kept for so many iterations behind, and for `KEPT_AHEAD`."""
         self._kept_feedback = KEPT_AHEAD + window
         self.holder: str | None = None
-        """Who holds the word; always None where all are heard."""
+        """The teacher who is being obeyed; always None where all are heard."""
         self._first_only = word == "first"
         self._commands: dict[int, dict[str, messages.Command]] = {}
         self._feedback: dict[int, dict[str, float | None]] = {}
@@ -89,7 +89,7 @@ class Teachers:
         return teacher is not None and not self._is_gone(teacher, present)
 
     def word(self, iteration: int) -> messages.Command | None:
-        """Return the command that counts, None for silence; who holds the word is decided here.
+        """Return the command that counts, None for silence; who is obeyed is decided here.
 
         A holder who was silent, or whose time was up, loses the word to the first other one with a note.
         """
@@ -111,7 +111,7 @@ class Teachers:
     def verdict(self, iteration: int, teacher: str | None) -> Verdict:
         """Return the feedback for an iteration in which `teacher` commanded (None: nobody).
 
-        Where only one holds the word, only he who commanded judges. What the robot did by itself is judged by the
+        Where only one is obeyed, only he who commanded judges. What the robot did by itself is judged by the
         first who says anything.
         """
         said = {who: v for who, v in self._feedback.get(iteration, {}).items() if v is not None}

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import msgspec
 import numpy as np
 
 from mdb_protocol import messages
 from mdb_services.acting.teachers import KEPT_TEACHERS
 from mdb_services.experiment.brain import BrainConfig
 from mdb_services.mechanism.feedback.credit import Credit
-from mdb_services.mechanism.networks.encoding import Codebook, gather
+from mdb_services.mechanism.networks.encoding import Codebook
 from mdb_services.mechanism.networks.network import Floats
+from mdb_services.shell.facts import facts_of
 
 KNOWN_TEACHERS = 8
 """Teachers of whom it is known how late they are; beyond it the one who was silent longest is forgotten."""
@@ -41,7 +43,7 @@ class Unnamed:
 
     def remember(self, pair: messages.Pair) -> None:
         """Keep what the models read of a pair as long as feedback may be for it."""
-        facts = gather(before=pair.before, after=pair.after, note=pair.note, action=pair.action)
+        facts = facts_of(msgspec.structs.replace(pair, feedback=None))
         self._rows = {i: rows for i, rows in self._rows.items() if i > pair.iteration - self._lags}
         self._rows[pair.iteration] = [_row(book, book.input_rows(facts)) for book in self._books]
 

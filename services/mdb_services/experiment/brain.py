@@ -14,22 +14,28 @@ from msgspec import Meta
 
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.keys import MODEL_BYTES
+from mdb_protocol.messages import VALUE_BOUND
 from mdb_services.experiment.reading import convert, make, nearest
 from mdb_services.experiment.sections import (
+    ActuatorSection,
     ChannelSection,
+    ChoiceSection,
     EarSection,
     EvolverSection,
     ExperimentSection,
     ModelSection,
     ModeSection,
+    Name,
     OptimizerSection,
+    SearchSection,
     StoreSection,
 )
-from mdb_services.mechanism.choice import Mode
+from mdb_services.mechanism.actions.foresight import Mode
+from mdb_services.mechanism.actions.spaces import Choices, Ranges, Space
 from mdb_services.mechanism.memories.context import ContextConfig
 from mdb_services.mechanism.memories.ltm import LongTermConfig
 from mdb_services.mechanism.memories.stm import MemoryConfig
-from mdb_services.mechanism.networks.encoding import Channel, Codebook
+from mdb_services.mechanism.networks.encoding import DERIVED, NOT_SENSED, Channel, Codebook
 from mdb_services.mechanism.settings import LEARNER_CONFIGS, EvolutionConfig, LearnerConfig, RidgeConfig
 
 EXPERIMENT_FILE = "experiment.toml"
@@ -50,9 +56,12 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     experiment: ExperimentSection
     channels: dict[str, ChannelSection]
+    actuators: Annotated[dict[Name, ActuatorSection], Meta(min_length=1, max_length=256)]
+    choice: Annotated[tuple[ChoiceSection, ...], Meta(max_length=1024)] = ()
+    search: SearchSection = msgspec.field(default_factory=SearchSection)
     model: Annotated[tuple[ModelSection, ...], Meta(min_length=1)]
     mode: Annotated[tuple[ModeSection, ...], Meta(min_length=1)]
-    optimizer: OptimizerSection
+    optimizer: OptimizerSection = msgspec.field(default_factory=OptimizerSection)
     evolver: EvolverSection = msgspec.field(default_factory=EvolverSection)
     store: StoreSection = msgspec.field(default_factory=StoreSection)
     ear: EarSection | None = None
@@ -112,13 +121,13 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
         """Return the channel of each variable a model may use, `next.` and `covered.` ones included."""
         found: dict[str, Channel] = {}
         for name, section in self.channels.items():
-            fields = {k: getattr(section, k) for k in section.__struct_fields__ if k != "change"}
-            if section.of in self.channels and not section.values:
-                fields["values"] = self.channels[section.of].values
+            fields = {k: getattr(section, k) for k in section.__struct_fields__ if k not in ("change", "by")}
+            if section.by is not None:
+                fields["values"] = tuple(choice.values[section.by] for choice in self.choice)
             channel = make(Channel, fields, f"channels.{name}")
             found[name] = found[f"next.{name}"] = channel
             if section.change is not None:
-                change = {"low": -section.change, "high": section.change}
+                change = {"low": -section.change, "high": section.change, "numbers": section.numbers}
                 found[f"covered.{name}"] = make(Channel, change, f"channels.{name}.change")
         return found
 
@@ -140,6 +149,7 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     def check(self) -> None:
         """Raise ConfigError unless every name that a section uses exists and all settings hold together."""
+        self._check_actions()
         variables = self.variables()
         for model in self.model:
             for name in (*model.inputs, *model.outputs):
@@ -155,7 +165,7 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
             self.context_of(model)
             self.long_term_of(model)
         for name, section in self.channels.items():
-            self._check_channel(name, section.of, variables[name].indices)
+            self._check_channel(name, section, variables[name].indices)
         if self.ear is not None:
             self._check_ear(self.ear, variables["note"].indices if "note" in variables else None)
         models = {model.name: model for model in self.model}
@@ -174,8 +184,9 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     def _check_size(self, model: ModelSection) -> None:
         """Refuse a model whose current model is too large for a message."""
-        width = Codebook(self.variables(), model.inputs, model.outputs).width
-        layers = [width, *self.reported_hidden(model), len(model.outputs)]
+        codebook = Codebook(self.variables(), model.inputs, model.outputs)
+        width = codebook.width
+        layers = [width, *self.reported_hidden(model), codebook.output_width]
         weights = sum((before + 1) * after for before, after in pairwise(layers))
         support = model.capacity * width if self.is_supported(model.name) else 0
         most = MODEL_BYTES // NUMBER_BYTES - BESIDE
@@ -192,14 +203,63 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
                 f"ear.notes_hz has {len(ear.notes_hz)} notes, but channels.note has {notes}; expected as many of each"
             )
 
-    def _check_channel(self, name: str, of: str | None, indices: int | None) -> None:
-        if of is not None and of not in self.channels:
-            raise ConfigError(f"channels.{name}: of = {of!r} is no channel{nearest(of, self.channels)}")
-        if "action" in (name, of) and indices not in (None, self.optimizer.actions):
+    def _check_channel(self, name: str, section: ChannelSection, indices: int | None) -> None:
+        if name == "action" and (not self.choice or indices not in (None, len(self.choice))):
             raise ConfigError(
-                f"optimizer.actions is {self.optimizer.actions}, but channels.{name} has {indices} values; "
-                "expected as many of each"
+                f"channels.action has {indices or 'no'} values, and there are {len(self.choice)} [[choice]] entries; "
+                "expected as many of each (encoding 'rank' with by = ACTUATOR, or 'one_hot' with size), or no such "
+                "channel"
             )
+        if name in self.actuators and section.encoding != "scalar":
+            raise ConfigError(f"channels.{name}: encoding is {section.encoding!r}; an actuator's is 'scalar'")
+
+    def _check_actions(self) -> None:
+        for name, actuator in self.actuators.items():
+            if name in NOT_SENSED or name.startswith(DERIVED):
+                raise ConfigError(f"actuators.{name}: the name means something else already; choose another")
+            if not -VALUE_BOUND <= actuator.low < actuator.high <= VALUE_BOUND:
+                raise ConfigError(
+                    f"actuators.{name}: low {actuator.low} and high {actuator.high}; expected low < high, both "
+                    f"within ±{VALUE_BOUND:g}"
+                )
+        if len(self.choice) == 1:
+            raise ConfigError("there is one [[choice]]; expected two or more, or none to search in the ranges")
+        if len({choice.name for choice in self.choice}) < len(self.choice):
+            raise ConfigError("two [[choice]] entries have the same name; give each its own")
+        for choice in self.choice:
+            if set(choice.values) != set(self.actuators):
+                raise ConfigError(
+                    f"choice {choice.name!r} has values for {', '.join(choice.values) or 'nothing'}; expected one "
+                    f"for each of {', '.join(self.actuators)}"
+                )
+            for name, value in choice.values.items():
+                low, high = self.actuators[name].low, self.actuators[name].high
+                if not low <= value <= high:
+                    raise ConfigError(f"choice {choice.name!r}: {name} = {value}; expected {low} to {high}")
+        for name, section in self.channels.items():
+            if section.by is not None and (section.by not in self.actuators or not self.choice or name != "action"):
+                raise ConfigError(
+                    f"channels.{name}: by = {section.by!r}; expected an actuator, in channels.action, where there "
+                    "are [[choice]] entries"
+                )
+
+    def space(self) -> Space:
+        """Return which actions there are to choose from."""
+        if self.choice:
+            return Choices([{name: choice.values[name] for name in self.actuators} for choice in self.choice])
+        ranges = {name: (actuator.low, actuator.high) for name, actuator in self.actuators.items()}
+        return Ranges(ranges, self.search.method, self.search.evaluations)
+
+    def allows(self, action: Mapping[str, float], choice: int | None) -> bool:
+        """Whether this brain could have taken an action."""
+        if self.choice:
+            return choice is not None and choice < len(self.choice) and dict(action) == self.choice[choice].values
+        ranges = self.actuators
+        return (
+            choice is None
+            and set(action) == set(ranges)
+            and all(ranges[name].low <= value <= ranges[name].high for name, value in action.items())
+        )
 
 
 def brain_config(content: Mapping[str, Any], source: object) -> BrainConfig:

@@ -15,12 +15,15 @@ from mdb_services.mechanism.networks.encoding import Encoding
 
 SWIFT_HZ = 47.0, 2093.0
 """Lowest and highest pitch of the swift-f0 network."""
+MOST_NUMBERS = 1024
+"""In a sensor's vector: more do not fit into the messages that pairs travel in."""
+
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Seconds = Annotated[float, Meta(gt=0, le=3600)]
 Durability = Literal["process", "power"]
 Probability = Annotated[float, Meta(ge=0, le=1)]
 Word = Literal["first", "all"]
-"""first: who comes first holds the word until he is silent or gone; all: the first note of each iteration counts."""
+"""first: who comes first is obeyed until he is silent or gone; all: the first note of each iteration counts."""
 
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -36,12 +39,15 @@ class ExperimentSection(Section, frozen=True, kw_only=True):
     iterations: Annotated[int, Meta(ge=1, le=10_000_000)]
     seed: Annotated[int, Meta(ge=0, le=2**62)] = 1
     pace: Literal["concurrent", "lockstep"] = "concurrent"
+    folder: str | None = None
+    """Where the experiment file lay: bodies and policies are looked for there, too. Written when the file is read."""
 
 
 class ChannelSection(Section, frozen=True, kw_only=True):
     """`[channels.NAME]`: how a variable is scaled; `change` scales `covered.NAME` to ±change.
 
-    `of` makes it a second reading of another variable, as the turn is of the action; it takes its `values`.
+    `numbers`: how many a sensor gives that is a vector. `by`: the rank of a choice is that of its value for this
+    actuator.
     """
 
     encoding: Encoding = "scalar"
@@ -49,8 +55,33 @@ class ChannelSection(Section, frozen=True, kw_only=True):
     high: float = 1.0
     size: Annotated[int, Meta(ge=0, le=128)] = 0
     values: tuple[float, ...] = ()
+    numbers: Annotated[int, Meta(ge=1, le=MOST_NUMBERS)] = 1
+    by: str | None = None
     change: Annotated[float, Meta(gt=0)] | None = None
-    of: str | None = None
+
+
+class ActuatorSection(Section, frozen=True, kw_only=True):
+    """`[actuators.NAME]`: what the robot can be told, and between which values."""
+
+    low: float
+    high: float
+    unit: str = ""
+
+
+class ChoiceSection(Section, frozen=True, kw_only=True):
+    """`[[choice]]`: one of the actions to choose from. Without any, all in the actuators' ranges are."""
+
+    name: Annotated[str, Meta(min_length=1, max_length=64)]
+    values: dict[str, float]
+
+
+class SearchSection(Section, frozen=True, kw_only=True):
+    """`[search]`: how actions are searched in the actuators' ranges, where there are no choices."""
+
+    method: Literal["refine", "cma"] = "refine"
+    """"refine": over the whole range, then nearer and nearer the best; "cma": CMA-ES (extra `learners`)."""
+    evaluations: Annotated[int, Meta(ge=2, le=100_000)] = 64
+    """So many actions are looked at, at most, to choose one."""
 
 
 class ModelSection(Section, frozen=True, kw_only=True):
@@ -84,14 +115,15 @@ class ModeSection(Section, frozen=True, kw_only=True):
     aspiration: float | None = None
     exploration: Probability = 0.0
     reach: Annotated[float, Meta(ge=0.001, le=100)] | None = None
-    """How far around a pair a model is believed, in scaled units; see `choice.Mode`."""
+    """How far around a pair a model is believed, in scaled units; see `foresight.Mode`."""
     curiosity: Annotated[float, Meta(ge=0, le=10)] = 0.0
+    margin: Annotated[float, Meta(ge=0, le=2)] = 0.0
+    """What promises so much less than the best, in scaled units, counts as equal; see `foresight.Mode`."""
 
 
 class OptimizerSection(Section, frozen=True, kw_only=True):
     """`[optimizer]`: the operation cycle's exploration and its bounded waits."""
 
-    actions: Annotated[int, Meta(ge=2, le=1024)]
     random_iterations: Annotated[int, Meta(ge=0)] = 0
     """Exploration is forced before this iteration (paper, section 3: 200)."""
     command_patience_s: Seconds = 2.0
@@ -104,7 +136,7 @@ class OptimizerSection(Section, frozen=True, kw_only=True):
     praise_window: Annotated[int, Meta(ge=0, le=LATELY)] = 30
     """Praise is measured by the best of so many judged iterations in a row, within 200; 0: by full praise, always."""
     word: Word = "first"
-    """Of several teachers: "first", who comes first holds the word; "all", whoever speaks first each time."""
+    """Of several teachers: "first", who comes first is obeyed; "all", whoever speaks first each time."""
     lockstep_patience_s: Seconds = 60.0
     """How long a lockstep run waits for a model before it goes on with the one it has."""
     resend_s: Seconds = 0.5

@@ -17,7 +17,7 @@ from mdb_protocol.errors import DamageError, DecodeError, MdbError
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS pair (
-    iteration INTEGER PRIMARY KEY, payload BLOB NOT NULL, stored BLOB NOT NULL, note INTEGER, action INTEGER
+    iteration INTEGER PRIMARY KEY, payload BLOB NOT NULL, stored BLOB NOT NULL, note INTEGER, choice INTEGER
 );
 CREATE TABLE IF NOT EXISTS recalled (id INTEGER PRIMARY KEY, payload BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS change (
@@ -99,6 +99,7 @@ class MemoryFile:
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute(f"PRAGMA synchronous={'FULL' if power_safe else 'NORMAL'}")
             self._db.executescript(SCHEMA)
+            columns = {row[1] for row in self._db.execute("PRAGMA table_info(pair)")}
         except sqlite3.Error as error:
             if error.sqlite_errorcode & 0xFF in DAMAGE:
                 raise self.unusable(error) from error
@@ -106,6 +107,12 @@ class MemoryFile:
                 f"{path} cannot be opened: {error}. Is the disk full, or the folder not yours? If it is in the way, "
                 "move it away to start with an empty memory"
             ) from error
+        if "choice" not in columns:
+            self._db.close()
+            raise MdbError(
+                f"{path} was written by a version of this project that spoke version 1 of the protocol, whose pairs "
+                "cannot be read any more. Move it away to start with an empty memory"
+            )
 
     def _check_length(self) -> None:
         """Raise DamageError for what SQLite mends in silence: it removes a log beside an empty file, and so on."""
@@ -143,7 +150,7 @@ class MemoryFile:
         It takes the place of the same pair without feedback.
         """
         with self._transaction():
-            row = (pair.iteration, codec.encode(pair), codec.encode(stored), pair.note, pair.action)
+            row = (pair.iteration, codec.encode(pair), codec.encode(stored), pair.note, pair.choice)
             self._db.execute("INSERT OR REPLACE INTO pair VALUES (?, ?, ?, ?, ?)", row)
             for effect in effects:
                 self._write(effect)
@@ -211,9 +218,10 @@ class MemoryFile:
         return int(self._db.execute("SELECT coalesce(max(iteration) + 1, 0) FROM pair").fetchone()[0])
 
     def tried(self) -> list[tuple[int, int, int]]:
-        """Return (note or -1, action, iteration) of the last time that an action was taken under a note."""
+        """Return (note or -1, choice, iteration) of the last time that a choice was taken under a note."""
         return self._db.execute(
-            "SELECT coalesce(note, -1), action, max(iteration) FROM pair GROUP BY note, action"
+            "SELECT coalesce(note, -1), choice, max(iteration) FROM pair WHERE choice IS NOT NULL "
+            "GROUP BY note, choice"
         ).fetchall()
 
     def keep_checkpoint(self, checkpoint: messages.Checkpoint) -> None:

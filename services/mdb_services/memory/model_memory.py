@@ -44,7 +44,7 @@ class ModelMemory:
         self._experiment = config.experiment
         self._relevance = config.memory_of(section)
         self._context = config.context_of(section)
-        self.stm = ShortTermMemory(section.capacity, self.codebook.width, len(section.outputs), self._relevance)
+        self.stm = ShortTermMemory(section.capacity, self.codebook.width, self.codebook.output_width, self._relevance)
         self._detector = ContextDetector(self._context)
         self._ltm = LongTermMemory(config.long_term_of(section))
         self._stability = Stability(self._ltm.config)
@@ -90,6 +90,14 @@ class ModelMemory:
             self._detector.step(error, version)
             self._stability.step(error)
         self.stm.configure(self._setting)
+
+    def knows(self, model: messages.LongTermModel) -> bool:
+        """Whether a stored model is one that this memory can take over."""
+        try:
+            self._take_stored(model)
+        except ValueError:
+            return False
+        return True
 
     def _take_stored(self, model: messages.LongTermModel) -> None:
         rows = [self._rows(pair) for pair in model.pairs]

@@ -77,7 +77,8 @@ def survey(path: Path, config: BrainConfig) -> Salvage:
         long_term = "SELECT payload FROM long_term WHERE model = ? AND id BETWEEN ? AND ?"
         for section in config.model:
             stored_models = _by_halves(db, long_term, (section.name,), 0, iterations)
-            found.long_term += _all_decoded(messages.LongTermModel, stored_models)
+            memory = ModelMemory(config, section)
+            found.long_term += [m for m in _all_decoded(messages.LongTermModel, stored_models) if memory.knows(m)]
             last = _at_once(db, "SELECT payload FROM model WHERE name = ?", section.name)
             found.models += _all_decoded(messages.CurrentModel, last or [])
             _survey_memory(db, section.name, found)

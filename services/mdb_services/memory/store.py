@@ -136,15 +136,16 @@ class MemoryStore:
 
         So is one from far ahead, unless it comes again and again, and no nearer one: then those between are lost.
         """
-        iterations, actions = self._config.experiment.iterations, self._config.optimizer.actions
+        iterations = self._config.experiment.iterations
         due = self._file.next_iteration()
-        if pair.iteration < iterations and pair.action < actions:
+        if pair.iteration < iterations and self._config.allows(pair.action, pair.choice):
             if due <= pair.iteration <= due + FAR:
                 self._elsewhere.nearer()
             if pair.iteration <= due + FAR or self._elsewhere.believed(pair.iteration, self._clock()):
                 return True
         reason = (
-            f"pair {pair.iteration} with action {pair.action}; due is {due} of {iterations}, of {actions} actions"
+            f"pair {pair.iteration} with action {pair.action}, choice {pair.choice}; due is {due} of {iterations}, "
+            "and the action is to be one of the experiment's"
         )
         self.bus.refusals.add(keys.PAIR.path, reason)
         return False
@@ -184,7 +185,7 @@ class MemoryStore:
         )
 
     def _progress(self) -> messages.Progress:
-        notes, actions, iterations = np.array(self._file.tried(), dtype=np.int64).reshape(-1, 3).T
+        notes, choices, iterations = np.array(self._file.tried(), dtype=np.int64).reshape(-1, 3).T
         window = self._config.optimizer.feedback_window
         newest = self._file.newest(window + LATELY)
         return messages.Progress(
@@ -193,7 +194,7 @@ class MemoryStore:
             unjudged=[pair for pair in newest[-window:] if pair.feedback is None],
             judged=[pair for pair in newest if pair.feedback is not None],
             notes=notes,
-            actions=actions,
+            choices=choices,
             iterations=iterations,
         )
 

@@ -10,4 +10,11 @@ def facts_of(pair: messages.Pair) -> Facts:
     feedback = pair.feedback
     if feedback is not None and pair.best is not None:
         feedback = worth(feedback, pair.best)
-    return gather(before=pair.before, after=pair.after, note=pair.note, action=pair.action, feedback=feedback)
+    return gather(
+        before=pair.before,
+        after=pair.after,
+        note=pair.note,
+        action=pair.action,
+        choice=pair.choice,
+        feedback=feedback,
+    )

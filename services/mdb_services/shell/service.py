@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import structlog
 
@@ -72,6 +72,14 @@ class Stopper:
     def __call__(self) -> bool:
         """Return whether to stop."""
         return self._told or (self._parent is not None and os.getppid() != self._parent)
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """A service that has something to do at times of its own."""
+
+    def due_in_s(self) -> float:
+        """Return in how many seconds its next step is due, whatever comes."""
 
 
 class Meter:
@@ -140,7 +148,7 @@ def run(service: Service, stop: Callable[[], bool]) -> None:
         meter = announce(service)
         log.info("ready", role=service.role, instance=service.instance)
         while not stop():
-            service.bus.wait(WAIT_S)
+            service.bus.wait(min(WAIT_S, service.due_in_s()) if isinstance(service, Timed) else WAIT_S)
             service.bus.serve()
             meter.tick()
             try:

@@ -58,7 +58,7 @@ def draw(run: Path, out: Path | None = None) -> list[Path]:
     folder = run if out is None else out
     figures: tuple[tuple[str, Callable[[RunRecord, Figure], None], tuple[float, float]], ...] = (
         ("figure4", _draw_errors, (9.0, 7.2)),
-        ("figure5", _draw_captures, (9.0, 4.6)),
+        ("figure5", _draw_successes, (9.0, 4.6)),
         ("figure6", draw_trajectories, (10.0, 5.5)),
     )
     return [
@@ -79,7 +79,7 @@ def draw_band(runs: Sequence[Path], out: Path) -> list[Path]:
     records = [read_record(run) for run in runs]
     return [
         *save(out / "figure4-seeds", (9.0, 7.2), lambda figure: _draw_errors_band(records, figure)),
-        *save(out / "figure5-seeds", (9.0, 4.6), lambda figure: _draw_captures_band(records, figure)),
+        *save(out / "figure5-seeds", (9.0, 4.6), lambda figure: _draw_successes_band(records, figure)),
     ]
 
 
@@ -166,22 +166,41 @@ def _pieces(record: RunRecord, values: Doubles) -> list[tuple[Doubles, Doubles]]
     return pieces
 
 
-def _draw_captures(record: RunRecord, figure: Figure) -> None:
-    """Figure 5: captures of the object against iterations, with the phases."""
-    axes = _capture_axes(record, figure)
-    axes.plot(np.arange(record.iterations + 1), record.captures, color=BLUE, linewidth=2, drawstyle="steps-post")
-    _count(axes, [record])
-    if not record.captures[-1]:
-        note(axes, "no captures in this log")
-    axes.set_ylim(0, max(10.0, 1.08 * float(record.captures[-1])))
+def _draw_successes(record: RunRecord, figure: Figure) -> None:
+    """Figure 5: captures of the object against iterations, with the phases; of another machine, its successes.
+
+    Where the experiment calls no event a success, each event that ends an episode is counted.
+    """
+    axes = _success_axes(record, figure)
+    if record.experiment.robot.successes:
+        axes.plot(np.arange(record.iterations + 1), record.successes, color=BLUE, linewidth=2, drawstyle="steps-post")
+        _count(axes, [record])
+        most = int(record.successes[-1])
+        if not most:
+            note(axes, f"no {_successes_of(record).lower()} in this log")
+    else:
+        counts = {event: np.cumsum(record.event == event) for event in record.experiment.robot.ends}
+        for (event, count), colour in zip(counts.items(), (BLUE, ORANGE, GREEN), strict=False):
+            axes.plot(count, color=colour, linewidth=2, drawstyle="steps-post", label=event)
+        axes.legend(loc="lower right", frameon=False)
+        most = max((int(count[-1]) for count in counts.values() if len(count)), default=0)
+    axes.set_ylim(0, max(10.0, 1.08 * most))
 
 
-def _capture_axes(record: RunRecord, figure: Figure) -> Axes:
+def _successes_of(record: RunRecord) -> str:
+    """Return in a word what is counted."""
+    successes = record.experiment.robot.successes
+    if successes == ("capture",):
+        return "Captures"
+    return f"Successes ({', '.join(successes)})" if successes else "Ends of episodes"
+
+
+def _success_axes(record: RunRecord, figure: Figure) -> Axes:
     axes: Axes = figure.subplots()
     _shade(axes, record, labelled=True, above=1.07)
-    axes.set_title("Object captures", pad=36, fontsize=12)
+    axes.set_title(_title(record), pad=36, fontsize=12)
     axes.set_xlabel("Iteration")
-    axes.set_ylabel("Captures since the beginning")
+    axes.set_ylabel(f"{_successes_of(record)} since the beginning")
     stop = min(record.random_iterations, _end(record))
     if stop > 0:
         axes.axvspan(0, stop, facecolor="none", edgecolor="#9bb4c6", hatch="///", linewidth=0)
@@ -193,11 +212,15 @@ def _capture_axes(record: RunRecord, figure: Figure) -> Axes:
     return axes
 
 
+def _title(record: RunRecord) -> str:
+    return "Object captures" if record.experiment.robot.successes == ("capture",) else _successes_of(record)
+
+
 def _count(axes: Axes, records: Sequence[RunRecord]) -> None:
-    """Write above each phase the (mean) captures in it; only where all logs hold the whole phase."""
+    """Write above each phase the (mean) successes in it; only where all logs hold the whole phase."""
     for span in records[0].spans:
-        start, stop = measures.capture_window(records[0], span)
-        count = float(np.mean([measures.captures(record, (start, stop)) for record in records]))
+        start, stop = measures.success_window(records[0], span)
+        count = float(np.mean([measures.successes(record, (start, stop)) for record in records]))
         if np.isfinite(count) and stop > start:
             axes.text(
                 (span.start + span.stop) / 2, 1.02, f"{count:.4g} in {start}–{stop}",
@@ -224,11 +247,11 @@ def _draw_errors_band(records: Sequence[RunRecord], figure: Figure) -> None:
     figure.suptitle(f"Error of the communication model {_seeds(records)}", x=0.01, ha="left", fontsize=12)
 
 
-def _draw_captures_band(records: Sequence[RunRecord], figure: Figure) -> None:
+def _draw_successes_band(records: Sequence[RunRecord], figure: Figure) -> None:
     longest = max(records, key=lambda record: record.iterations)
-    axes = _capture_axes(longest, figure)
-    axes.set_title(f"Object captures {_seeds(records)}", pad=36, fontsize=12)
-    found = [record.captures.astype(np.float64) for record in records]
+    axes = _success_axes(longest, figure)
+    axes.set_title(f"{_title(longest)} {_seeds(records)}", pad=36, fontsize=12)
+    found = [record.successes.astype(np.float64) for record in records]
     for values in found:
         axes.plot(values, color=BLUE, linewidth=0.6, alpha=0.4)
     mean, low, high = band(found)

@@ -78,13 +78,13 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.1",
         "A motivation guides the behaviour by the degree of its satisfaction.",
         "faithful",
-        f"`[[mode]]`; `{MECHANISM}/choice.py`",
+        f"`[[mode]]`; `{MECHANISM}/actions/choice.py`",
     ),
     Statement(
         "2.1",
         "Action: a set of commands applied to the actuators.",
         "faithful",
-        f"An index; what the motors do for it is the body's (`{SIM}/body.py`).",
+        f"A value for each actuator, by its name; what the motors do for it is the body's (`{SIM}/body.py`).",
     ),
     Statement(
         "2.1",
@@ -165,7 +165,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.3",
         "The search for the action is an optimisation, for which any technique will do.",
         "faithful",
-        f"All seven are tried: `{MECHANISM}/choice.py`",
+        f"All seven are tried: `{MECHANISM}/actions/choice.py`",
     ),
     Statement("2.3", "The mechanism was tested in real agents.", "missing", "Simulated bodies only."),
     Statement(
@@ -185,7 +185,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "A model is applicable only when its inputs are present. With a teacher the first pair of models acts, "
         "without one the induced pair.",
         "faithful",
-        f"`{MECHANISM}/choice.py`: the first `[[mode]]` whose inputs are there",
+        f"`{MECHANISM}/actions/choice.py`: the first `[[mode]]` whose inputs are there",
     ),
     Statement(
         "3",
@@ -211,7 +211,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "The teacher, external to the MDB, makes the robot reach the object frontally.",
         "faithful",
-        f"`{SIM}/teaching/teacher.py`; what “frontally” means is ours: within 20°",
+        f"`{SIM}/teaching/policies/pioneer.py`; what “frontally” means is ours: within 20°",
     ),
     Statement(
         "3",
@@ -236,7 +236,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "The teacher rewards or punishes by the degree of fulfilment, by a number from a keyboard.",
         "faithful",
-        f"`graded` in `{SIM}/teaching/teacher.py`; `mdb teach` has the keyboard. The steps of the degree are ours.",
+        f"`graded` in `{SIM}/teaching/schedule.py`; `mdb teach` has the keyboard. The steps of the degree are ours.",
     ),
     Statement(
         "3",
@@ -273,8 +273,8 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "All actions are tested, the one with the best satisfaction is taken.",
         "adapted",
-        f"`{MECHANISM}/choice.py`. But a satisfaction counts as far as the memory supports it, and while nothing "
-        "promises enough, what may be better is tried: both are ours.",
+        f"`{MECHANISM}/actions/choice.py`. But a satisfaction counts as far as the memory supports it, and while "
+        "nothing promises enough, what may be better is tried: both are ours.",
     ),
     Statement(
         "3",

@@ -1,17 +1,19 @@
-"""The robot as a service: turns the current action into motion and the next perception and scene.
+"""The robot as a service: carries out the current action and shows what is perceived, and the scene.
 
-Owns a body (`mdb_sim.body.Robot`). Does each iteration's action once, however often it comes, and none whose deadline
+Owns a body (`mdb_sim.body.Body`). Does each iteration's action once, however often it comes, and none whose deadline
 is over (a dead-man's switch): an action answers the newest perception by its stamp, which is this process's own time,
 so neither frozen processes nor clocks nor slow networks make an old action look young. A stamp from the future is
-none of this robot's. While it waits it shows the same perception again, with a new stamp. Until its first action it
-takes the brain's count of iterations, later only when the brain insists. Goes on after its death where it was. Never
-sees a model, a reward or a note: what the optimizer meant by an action travels through it unread.
+none of this robot's. While nobody commands it its body is halted, and it shows the same perception again, with a new
+stamp. Until its first action it takes the brain's count of iterations, later only when the brain insists. Goes on
+after its death where it was. Never sees a model, a reward or a note: what the optimizer meant by an action travels
+through it unread.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import msgspec
 import structlog
@@ -19,8 +21,10 @@ import structlog
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_services.shell.elsewhere import Elsewhere
-from mdb_sim.body import Placement, Robot, RobotError, Step
-from mdb_sim.placements import message_of, placement_of
+from mdb_sim.body import Body, BodyError, Drawable, Imaging, check
+from mdb_sim.robot.acting import Acting
+from mdb_sim.robot.clock import Clock
+from mdb_sim.robot.course import Course, Rules
 from mdb_sim.robot.state_file import StateFile
 
 log = structlog.get_logger()
@@ -28,6 +32,10 @@ log = structlog.get_logger()
 ROLE = "robot"
 SHOWN_AGAIN_S = 0.25
 """What is perceived is shown again after this, as long as no action comes."""
+WATCHING = ("teacher/", "viewer/")
+"""Whose liveliness tokens mean that somebody watches, ..."""
+SCRIPT = "teacher/script"
+"""... but for the scripted teacher's."""
 
 
 class RobotService:
@@ -38,33 +46,51 @@ class RobotService:
     def __init__(
         self,
         bus: Bus,
-        body: Robot,
+        body: Body,
+        rules: Rules,
         seed: int,
-        action_s: float = 0.0,
-        file: StateFile | None = None,
         *,
-        sleep: Callable[[float], None] = time.sleep,
+        action_s: float = 0.0,
+        changes: Mapping[int, Mapping[str, Any]] | None = None,
+        period_s: float | None = None,
+        hold_s: float = 1.0,
+        file: StateFile | None = None,
+        threaded: bool = False,
         clock: Callable[[], float] = time.monotonic,
         deadlines: bool = True,
     ) -> None:
         """Reset the body, or put it where `file` says, and show what it perceives.
 
-        Every action takes at least `action_s` on the wall. Without `deadlines` none comes too late: for replays.
+        `changes`: see `Course`. Every action takes at least `action_s` on the wall. With `period_s` the robot acts
+        every period: an action that does not come is held for `hold_s`, then the body is halted. `threaded`: actions
+        are carried out in a thread, so that what is asked meanwhile is answered, and an action whose commander is
+        silent for `hold_s` is interrupted. Without `deadlines` no action comes too late: for replays.
         """
         self.bus = bus
-        self._body, self._seed, self._file = body, seed, file
-        self._action_s, self._sleep, self._clock = action_s, sleep, clock
-        self._deadlines = deadlines
+        self._body, self._file, self._clock = body, file, clock
+        self._deadlines, self._hold_s = deadlines, hold_s
         self._elsewhere = Elsewhere()
-        self._acted_s = 0.0
-        self._late = self._done = self._unwritten = 0
+        self._halted_at = 0
+        """Actions done when the body was halted for want of a commander."""
+        self._late = self._done = self._halts = self._changes = self._unwritten = 0
         self._refused = False
         """Whether the disk did not take the last state."""
         self._perceptions = bus.publisher(keys.PERCEPTION)
         self._scenes = bus.publisher(keys.SCENE)
+        self._pictures = bus.publisher(keys.PICTURE)
         self._actions = bus.subscriber(keys.ACTION)
-        self._last = body.reset(seed)
-        self._perception, self._scene = self._seen(self._last, None, None)
+        self._asked = bus.subscriber(keys.CHANGE)
+        self._course = Course(body, rules, seed, changes)
+        self._acting = Acting(self._course, least_s=action_s, threaded=threaded, woken=bus.poke)
+        self._ticks = None if period_s is None else Clock(period_s, clock())
+        self._perception = self._course.last.perception()
+        self._scene = self._course.last.scene()
+        self._action: messages.Action | None = None
+        """The action that is being carried out, or was last."""
+        self._next: messages.Action | None = None
+        """The action for the next period."""
+        self._heard_s = clock()
+        """When the commander was last heard."""
         state = file.read() if file is not None else None
         if state is not None:
             self._go_on(state)
@@ -72,39 +98,110 @@ class RobotService:
 
     def _go_on(self, state: messages.RobotState) -> None:
         """Put the body where it was."""
-        scene = state.scene
-        counts = {"episode": scene.episode, "captures": scene.captures}
-        hidden = {"episode_age": state.episode_age, "unseen": state.unseen}
         try:
-            self._body.restore(placement_of(scene.now), scene.iteration, seed=self._seed, **counts, **hidden)
-        except RobotError as error:
+            self._course.go_on(state)
+        except BodyError as error:
             log.warning("the state does not fit the body; it begins anew", reason=str(error))
+            self._course.begin()
             return
-        now = placement_of(scene.now)
-        seen = state.perception
-        self._last = Step(scene.iteration, scene.event, now, seen.outcome, now, seen.reading, **counts, **hidden)
-        self._perception, self._scene = seen, scene
-        log.info("going on where it was", iteration=scene.iteration)
+        self._perception, self._scene = state.perception, state.scene
+        log.info("going on where it was", iteration=state.scene.iteration)
+
+    def due_in_s(self) -> float:
+        """Return in how many seconds there is something to do whatever comes."""
+        due_s = self._perception.stamp + SHOWN_AGAIN_S if self._ticks is None else self._ticks.due_s
+        return max(0.0, due_s - self._clock())
 
     def step(self) -> bool:
-        """Do the newest action if it is due and not too late; show again what is perceived when that is old."""
+        """Take what an action led to and what is commanded, and act when it is time."""
+        moved = self._conclude()
+        if not self._acting.busy and (asked := self._asked.take()) is not None:
+            self._change(asked)
+            moved = True
         action = self._actions.take()
-        if action is None:
-            if self._clock() - self._perception.stamp >= SHOWN_AGAIN_S:
-                self._show()
-            return False
-        if action.iteration < self._last.iteration:
+        if action is not None:
+            self._heard_s = self._clock()
+            self._take(action)
+            moved = True
+        if self._ticks is not None:
+            return self._tick(self._ticks) or moved
+        if self._next is not None and not self._acting.busy:
+            self._begin(self._next)
+            self._conclude()
+        elif action is None and self._clock() - self._perception.stamp >= SHOWN_AGAIN_S:
+            self._rest()
+            self._show()
+        return moved
+
+    def _change(self, asked: messages.Change) -> None:
+        """Change something of the body, and show what is true now."""
+        try:
+            step = self._course.change(asked.settings)
+        except BodyError as error:
+            self.bus.refusals.add(keys.CHANGE.path, str(error))
+            return
+        log.info("changed", **asked.settings)
+        self._changes += 1
+        self._perception = msgspec.structs.replace(self._perception, reading=step.reading)
+        self._scene = msgspec.structs.replace(self._scene, now=step.now)
+        self._keep()
+        self._show()
+
+    def _take(self, action: messages.Action) -> None:
+        """Keep an action that is due and not too late, to be carried out next; otherwise show again where we are."""
+        now = self._perception.iteration
+        underway = self._acting.busy and self._acting.counted
+        if underway and action.iteration == now:
+            return  # it was sent again
+        if action.iteration < now:
             self._show()
         elif self._is_late(action):
             self._late += 1
             self._show()
-        elif action.action >= self._body.actions:
-            self.bus.refusals.add(keys.ACTION.path, f"action {action.action}; the body has {self._body.actions}")
-        elif self._catches_up(action.iteration):
-            self._do(action)
+        elif not self._fits(action):
+            pass
+        elif not underway and self._catches_up(action.iteration):
+            self._next = action
         else:
-            self.bus.refusals.add(keys.ACTION.path, f"iteration {action.iteration}; now is {self._last.iteration}")
+            self.bus.refusals.add(keys.ACTION.path, f"iteration {action.iteration}; now is {now}")
+
+    def _fits(self, action: messages.Action) -> bool:
+        """Whether the body could carry out an action; else it is refused."""
+        try:
+            check(self._body.spec, action.action)
+        except BodyError as error:
+            self.bus.refusals.add(keys.ACTION.path, str(error))
+            return False
         return True
+
+    def _tick(self, ticks: Clock) -> bool:
+        """Begin a period: with the action that came, or the last one held, or, when nobody commands, at rest."""
+        if not ticks.tick(self._clock()):
+            return False
+        if self._acting.busy:
+            ticks.miss()
+        elif self._next is not None:
+            self._begin(self._next)
+        elif self._action is not None and self._clock() - self._heard_s <= self._hold_s:
+            self._acting.begin(self._action.action, counted=False)
+        else:
+            self._rest()
+            self._show()
+        self._conclude()
+        return True
+
+    def _begin(self, action: messages.Action) -> None:
+        self._action, self._next = action, None
+        self._acting.begin(action.action)
+
+    def _rest(self) -> None:
+        """Halt a body that nobody commands, once after each action; also while it acts, when that is so for long."""
+        if self._acting.busy and self._clock() - self._heard_s <= self._hold_s:
+            return
+        if self._halted_at != self._done + self._acting.busy:
+            self._halted_at = self._done + self._acting.busy
+            self._halts += 1
+            self._acting.halt()
 
     def _is_late(self, action: messages.Action) -> bool:
         return self._deadlines and not 0.0 <= self._clock() - action.stamp <= action.valid_for_s
@@ -114,38 +211,39 @@ class RobotService:
 
         A fresh body after a restart goes on with the brain's count, where it stands.
         """
-        if iteration == self._last.iteration:
+        now = self._perception.iteration
+        if iteration == now:
             self._elsewhere.nearer()
             return True
         if self._done and not self._elsewhere.believed(iteration, self._clock()):
             return False
-        log.warning("going on with the brain's iteration", mine=self._last.iteration, iteration=iteration)
-        last = self._last
-        self._body.restore(last.now, iteration, seed=self._seed, episode=last.episode, captures=last.captures)
+        log.warning("going on with the brain's iteration", mine=now, iteration=iteration)
+        self._course.count(iteration)
         return True
 
-    def _do(self, action: messages.Action) -> None:
-        started = time.perf_counter()
-        before = self._last.now
+    def _conclude(self) -> bool:
+        """Keep and show what an action led to, if one is over."""
         try:
-            self._last = self._body.act(action.action)
-        except RobotError as error:
+            step = self._acting.outcome()
+        except BodyError as error:
             self.bus.refusals.add(keys.ACTION.path, str(error))
-            return
-        self._done += 1
-        self._acted_s = time.perf_counter() - started
-        if self._acted_s < self._action_s:
-            self._sleep(self._action_s - self._acted_s)
-        self._perception, self._scene = self._seen(self._last, action, before)
+            return True
+        if step is None:
+            return False
+        held = step.iteration == self._perception.iteration
+        self._done += not held
+        self._perception = step.perception(self._perception.done if held else self._action)
+        self._scene = step.scene()
         self._keep()
         self._show()
+        return True
 
     def _keep(self) -> None:
         """Write where the robot is; on a disk that takes nothing a death now costs the steps since."""
         if self._file is None:
             return
         try:
-            self._file.write(self._state())
+            self._file.write(msgspec.structs.replace(self._course.state(), perception=self._perception))
         except OSError as error:
             if not self._refused:
                 log.error("the robot's state cannot be written; a death now costs its last steps", reason=str(error))
@@ -156,46 +254,40 @@ class RobotService:
                 log.info("the robot's state is written again", unwritten=self._unwritten)
             self._refused = False
 
-    def _state(self) -> messages.RobotState:
-        last = self._last
-        return messages.RobotState(
-            perception=self._perception, scene=self._scene, episode_age=last.episode_age, unseen=last.unseen
-        )
-
     def _show(self) -> None:
         """Publish what is seen, with the time of now."""
         self._perception = msgspec.structs.replace(self._perception, stamp=self._clock())
         self._scenes.put(self._scene)
+        watched = any(name.startswith(WATCHING) and name != SCRIPT for name in self.bus.alive())
+        if watched and not self._acting.busy:  # a body that acts cannot be drawn: the last picture stays
+            self._pictures.put(self._picture())
         self._perceptions.put(self._perception)
 
-    @staticmethod
-    def _seen(
-        step: Step, action: messages.Action | None, before: Placement | None
-    ) -> tuple[messages.Perception, messages.Scene]:
-        perception = messages.Perception(
-            iteration=step.iteration, event=step.event, outcome=step.reading, reading=step.next_reading, done=action
-        )
-        scene = messages.Scene(
-            iteration=step.iteration,
-            episode=step.episode,
-            captures=step.captures,
-            event=step.event,
-            action=action.action if action is not None else None,
-            before=message_of(before) if before else None,
-            reached=message_of(step.reached),
-            now=message_of(step.now),
-        )
-        return perception, scene
+    def _picture(self) -> messages.Picture:
+        """Return what the scene looks like, as far as the body can show it."""
+        body, seen = self._body, self._perception
+        drawing = body.draw(seen.reading) if isinstance(body, Drawable) else None
+        image = body.image() if drawing is None and isinstance(body, Imaging) else None
+        return messages.Picture(iteration=seen.iteration, drawing=drawing, image=image)
 
     def values(self) -> dict[str, float]:
-        """Iteration, captures, actions that came too late, states that the disk did not take and whether it takes
-        none now, and how long the last action took to simulate.
+        """Iteration, successes, actions that came too late, how often nobody commanded the body, changes that clients
+        made, states that the disk did not take and whether it takes none now, and how long the last action took; of a
+        clocked robot also its jitter, see `Clock.values`.
         """
-        last, late = self._last, float(self._late)
-        counts = {"iteration": float(last.iteration), "captures": float(last.captures)}
-        counts |= {"unwritten": float(self._unwritten), "disk_refuses": float(self._refused)}
-        return {**counts, "late": late, "act_s": self._acted_s}
+        counts = {
+            "iteration": self._perception.iteration,
+            "successes": self._scene.successes,
+            "late": self._late,
+            "halts": self._halts,
+            "changes": self._changes,
+            "unwritten": self._unwritten,
+            "disk_refuses": self._refused,
+            "act_s": self._acting.took_s,
+        }
+        clocked = {} if self._ticks is None else self._ticks.values()
+        return {name: float(value) for name, value in counts.items()} | clocked
 
     def close(self) -> None:
-        """Free the body."""
-        self._body.close()
+        """Bring the body to rest, and free it."""
+        self._acting.close()

@@ -16,27 +16,62 @@ from msgspec import Meta
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import ConfigError
 from mdb_services.experiment.brain import BrainConfig, brain_config
-from mdb_services.experiment.sections import Section
 from mdb_services.experiment.reading import convert, read_file
-from mdb_sim.body import Robot, RobotConfig, RobotError, make_robot
+from mdb_services.experiment.sections import Section
+from mdb_sim.bodies.finding import make_body, spec_of
+from mdb_sim.body import Body, BodyError
+from mdb_sim.robot.course import Rules
 from mdb_sim.robot.service import RobotService
-from mdb_sim.teaching.schedule import TeacherSection, schedule_of
-from mdb_sim.teaching.sound import Player
 from mdb_sim.robot.state_file import StateFile
+from mdb_sim.runs.machine import differences
+from mdb_sim.teaching.schedule import Schedule, TeacherSection, schedule_of
 from mdb_sim.teaching.service import ScriptedTeacher
+from mdb_sim.teaching.sound import Player
 
 ROBOT_FILE = "robot.state"
 """Where the robot was, in a run folder."""
 
 
+class ChangeSection(Section, frozen=True, kw_only=True):
+    """`[[robot.change]]`: what of the body is another before the action of an iteration."""
+
+    at: Annotated[int, Meta(ge=1)]
+    set: Annotated[dict[str, Any], Meta(min_length=1)]
+
+
 class RobotSection(Section, frozen=True, kw_only=True):
-    """`[robot]`: which body, how fast, and its world."""
+    """`[robot]`: which body, how fast, and what of its events counts."""
 
     body: str = "pybullet"
-    """"pybullet", "kinematic", or "package.module:Factory"."""
+    """One of `finding.BODIES`, or "package.module:Factory"."""
+    options: dict[str, Any] = msgspec.field(default_factory=dict)
+    """What the body is made with."""
+    period_s: Annotated[float, Meta(ge=0.001, le=3600)] | None = None
+    """The robot acts every so many seconds, whether an action came or not; without it after each action it waits."""
+    hold_s: Annotated[float, Meta(gt=0, le=3600)] = 1.0
+    """How long a body goes on with an action while nobody commands it; then it is halted."""
+    change: tuple[ChangeSection, ...] = ()
+    successes: tuple[str, ...] = ()
+    """The events that are successes."""
+    ends: tuple[str, ...] = ()
+    """The events after which the robot is put elsewhere, and an episode begins."""
+    episode_iterations: Annotated[int, Meta(ge=1, le=10_000_000)] | None = None
+    """An episode ends after so many actions at the latest, with the event "timeout"."""
     action_s: Annotated[float, Meta(ge=0, le=60)] = 0.05
     """In the concurrent pace an action takes at least this long (a real Pioneer 2: about 1.1 s)."""
-    world: RobotConfig = msgspec.field(default_factory=RobotConfig)
+
+    @property
+    def changes(self) -> dict[int, dict[str, Any]]:
+        """What changes before the action of which iteration."""
+        found: dict[int, dict[str, Any]] = {}
+        for change in self.change:
+            found[change.at] = found.get(change.at, {}) | change.set
+        return found
+
+    @property
+    def rules(self) -> Rules:
+        """What is counted."""
+        return Rules(frozenset(self.successes), frozenset(self.ends), self.episode_iterations)
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,12 +94,10 @@ class Experiment:
         self.brain = brain_config(content, source)
         simulation = convert(content, Simulation, source)
         self.robot, self.teacher = simulation.robot, simulation.teacher
-        actions, turns = self.brain.optimizer.actions, len(self.robot.world.turns_deg)
-        if self.robot.body in ("pybullet", "kinematic") and actions != turns:
-            raise ConfigError(f"{source}: optimizer.actions is {actions}, but robot.world.turns_deg has {turns}")
+        self._source = source
         if self.teacher is not None:
             try:
-                schedule_of(self.teacher, self.brain.experiment.seed, self.robot.world)
+                self.schedule()
             except ValueError as error:
                 raise ConfigError(f"{source}: teacher: {error}") from error
             if self.teacher.sound is not None and self.brain.ear is None:
@@ -73,26 +106,68 @@ class Experiment:
     @classmethod
     def read(cls, path: Path, overrides: Iterable[str] = ()) -> Experiment:
         """Read a file with overrides applied; see `reading.read_file`."""
-        return cls(read_file(path, overrides), path)
+        return cls(placed(read_file(path, overrides), path), path)
 
     def write(self, path: Path) -> None:
         """Write the resolved experiment, overrides included: what a run folder keeps."""
         path.write_text(tomli_w.dumps(self.content), encoding="utf-8")
 
-    def body(self, *, gui: bool = False) -> Robot:
+    @property
+    def folder(self) -> Path | None:
+        """Where the experiment file lay, if that is known."""
+        folder = self.brain.experiment.folder
+        return None if folder is None else Path(folder)
+
+    def schedule(self) -> Schedule:
+        """Return the phases; ConfigError when the file has none, TeacherError when its policy cannot be had."""
+        if self.teacher is None:
+            raise ConfigError("the experiment file has no [teacher] section with [[teacher.phase]] entries")
+        return schedule_of(self.teacher, self.brain.experiment.seed, self.folder)
+
+    def check_machine(self) -> None:
+        """Raise ConfigError that names each difference between the file and the body that it names.
+
+        Imports what the body needs, so it is asked for before a run, not whenever a file is read.
+        """
+        try:
+            spec = spec_of(self.robot.body, self.robot.options, self.folder)
+        except BodyError as error:
+            raise ConfigError(f"{self._source}: {error}") from error
+        policy = self.schedule().policy if self.teacher is not None else None
+        found = differences(self.brain, self.robot, spec, policy)
+        if found:
+            raise ConfigError(f"{self._source}: body {self.robot.body!r} is another one: " + "; ".join(found))
+
+    def body(self, *, gui: bool = False) -> Body:
         """Make the robot's body; ConfigError when it cannot be had."""
         try:
-            return make_robot(self.robot.body, self.robot.world, gui=gui)
-        except RobotError as error:
+            return make_body(self.robot.body, self.robot.options, self.folder, gui=gui)
+        except BodyError as error:
             raise ConfigError(str(error)) from error
 
     def robot_service(self, bus: Bus, run: Path | None = None, *, gui: bool = False) -> RobotService:
-        """Build the robot, with its state kept in the run folder; ConfigError when the body cannot be had."""
+        """Build the robot; ConfigError when the body cannot be had.
+
+        In a run folder, as a process of its own, its state is kept there and it acts in a thread.
+        """
         body = self.body(gui=gui)
         action_s = 0.0 if self.brain.lockstep else self.robot.action_s
         power_safe = self.brain.store.durability == "power"
         file = StateFile(run / ROBOT_FILE, power_safe=power_safe) if run is not None else None
-        return RobotService(bus, body, self.brain.experiment.seed, action_s, file)
+        seed = self.brain.experiment.seed
+        period_s = None if self.brain.lockstep else self.robot.period_s
+        return RobotService(
+            bus,
+            body,
+            self.robot.rules,
+            seed,
+            changes=self.robot.changes,
+            action_s=action_s if period_s is None else 0.0,
+            period_s=period_s,
+            hold_s=self.robot.hold_s,
+            file=file,
+            threaded=run is not None,
+        )
 
     @property
     def scripted_teachers(self) -> frozenset[str]:
@@ -102,9 +177,19 @@ class Experiment:
 
     def teacher_service(self, bus: Bus) -> ScriptedTeacher:
         """Build the scripted teacher; ConfigError when the file has no `[teacher]`."""
-        if self.teacher is None:
-            raise ConfigError("the experiment file has no [teacher] section with [[teacher.phase]] entries")
+        schedule = self.schedule()
+        assert self.teacher is not None
         seed, ear, player = self.brain.experiment.seed, self.brain.ear, None
         if self.teacher.sound is not None and ear is not None:
             player = Player(self.teacher.sound, ear.notes_hz, seed)
-        return ScriptedTeacher(bus, schedule_of(self.teacher, seed, self.robot.world), player)
+        return ScriptedTeacher(bus, schedule, player)
+
+
+def placed(content: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return a file's content with the folder in which it lay, if something may be found there by its name."""
+    sections = ((content.get("robot"), "body"), (content.get("teacher"), "policy"))
+    names = [section.get(name) for section, name in sections if isinstance(section, dict)]
+    experiment = content.get("experiment")
+    if isinstance(experiment, dict) and any(isinstance(name, str) and ":" in name for name in names):
+        experiment.setdefault("folder", str(path.resolve().parent))
+    return content

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from mdb_protocol import keys
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_protocol.messages import IterationReport
+from mdb_protocol.messages import IterationReport, Scene
+from mdb_services.acting.optimizer import Optimizer
+from mdb_services.evolver import Evolver
 from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.hearing.ear import Ear
-from mdb_services.evolver import Evolver
 from mdb_services.memory.file import MemoryFile
 from mdb_services.memory.store import MemoryStore
-from mdb_services.acting.optimizer import Optimizer
 from mdb_services.recorder import Recorder
 from mdb_services.shell.service import Service, run_inline
 from mdb_sim.runs.experiment import Experiment
@@ -27,6 +27,7 @@ def run_experiment(
     run: Path,
     *,
     on_iteration: Callable[[IterationReport], None] | None = None,
+    on_scene: Callable[[Scene], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
     gui: bool = False,
 ) -> None:
@@ -50,8 +51,12 @@ def run_experiment(
     watcher = bus()
     finished = watcher.subscriber(keys.FINISHED)
     reports = watcher.subscriber(keys.ITERATION)
+    scenes = watcher.subscriber(keys.SCENE)
 
     def over() -> bool:
+        while (scene := scenes.take()) is not None:
+            if on_scene is not None:
+                on_scene(scene)
         while (report := reports.take()) is not None:
             if on_iteration is not None:
                 on_iteration(report)

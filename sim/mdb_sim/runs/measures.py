@@ -1,4 +1,4 @@
-"""What a run log says of how well the robot learnt: errors told apart, obedience, captures, durations.
+"""What a run log says of how well the robot learnt: errors told apart, obedience, successes, durations.
 
 Owns the definitions of all measures; pure functions of a `record.RunRecord`. Errors are mean squared errors
 in the models' scaled units, where feedback lies in [-1, 1]; 0.1 is what "10 %" means (sim/README.md,
@@ -8,6 +8,7 @@ happened.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,9 @@ import numpy as np
 from mdb_services.mechanism.networks.encoding import Codebook, Facts
 from mdb_services.mechanism.networks.network import Network
 from mdb_sim.runs.record import Doubles, RunRecord, Span
-from mdb_sim.teaching.teacher import FEEDBACKS, FeedbackKind, Language
+from mdb_sim.teaching import policy as policies
+from mdb_sim.teaching.languages import Language
+from mdb_sim.teaching.schedule import graded
 
 AVERAGED = 40
 """Commanded iterations in a running mean (sim/README.md, "Errors, told apart")."""
@@ -101,18 +104,17 @@ def memory_error(record: RunRecord) -> Doubles:
 
 
 class PairJudge:
-    """The error of communication models over every note and action, by what the teacher would say."""
+    """The error of communication models over every note and choice, by what the teacher would say."""
 
-    def __init__(self, codebook: Codebook, language: Language, turns: tuple[float, ...], kind: FeedbackKind) -> None:
-        actions = np.arange(len(turns))
+    def __init__(self, codebook: Codebook, language: Language, says: Mapping[tuple[int, int], float]) -> None:
+        """`says`: the feedback after a command for a choice."""
+        choices = sorted({choice for _, choice in says})
         notes = np.arange(len(language.notes))
         pairs: Facts = {
-            "note": np.repeat(notes, len(actions)).astype(np.float64),
-            "action": np.tile(actions, len(notes)).astype(np.float64),
+            "note": np.repeat(notes, len(choices)).astype(np.float64),
+            "action": np.tile(choices, len(notes)).astype(np.float64),
         }
-        pairs["feedback"] = np.array(
-            [FEEDBACKS[kind](language.command(n), a, turns) for n in notes.tolist() for a in actions.tolist()]
-        )
+        pairs["feedback"] = np.array([says[language.command(n), c] for n in notes.tolist() for c in choices])
         inputs, targets = codebook.input_rows(pairs), codebook.target_rows(pairs)
         if inputs is None or targets is None:
             raise ValueError(
@@ -151,8 +153,15 @@ def _judge(record: RunRecord, span: Span) -> PairJudge | None:
     model = brain.model_named(record.communication)
     if set(model.inputs) != {"note", "action"} or model.outputs != ("feedback",):
         return None
+    policy, says = record.experiment.schedule().policy, {}
+    for command in range(len(policy.commands)):
+        for place, choice in enumerate(brain.choice):
+            judgement = policy.expected(command, choice.values)
+            if judgement is None:
+                return None
+            says[command, place] = graded(judgement, binary=teacher.feedback == "binary")
     codebook = Codebook(brain.variables(), model.inputs, model.outputs)
-    return PairJudge(codebook, span.language, record.experiment.robot.world.turns_rad, teacher.feedback)
+    return PairJudge(codebook, span.language, says)
 
 
 def _network_in_use(record: RunRecord, iteration: int) -> Network | None:
@@ -165,17 +174,20 @@ def _network_in_use(record: RunRecord, iteration: int) -> Network | None:
 
 
 def obeyed(record: RunRecord) -> Doubles:
-    """Return 1 where the action was the commanded one, 0 where it was another, nan without a command.
+    """Return 1 where what the note meant was done, 0 where it was not, nan without a command.
 
-    Where the language is not known, full reward means obedience.
+    The policy says so, from what was wanted and what happened. Where the language is not known, feedback says it.
     """
     found = np.full(record.iterations, np.nan)
+    policy = record.experiment.schedule().policy if record.experiment.teacher is not None else None
     for span in record.spans:
         for i in span.start + np.flatnonzero(record.commanded[span.start : span.stop]):
-            if span.language is not None:
-                found[i] = span.language.command(int(record.note[i])) == record.action[i]
+            scene = record.scenes.get(int(i) + 1)
+            if policy is not None and span.language is not None:
+                done = None if scene is None else policies.obeyed(policy, span.language, int(record.note[i]), scene)
+                found[i] = np.nan if done is None else done
             elif np.isfinite(record.feedback[i]):
-                found[i] = record.feedback[i] >= 1.0
+                found[i] = record.feedback[i] >= policies.OBEYED
     return found
 
 
@@ -219,14 +231,14 @@ def disobeyed_at_first(record: RunRecord, span: Span) -> float:
     return float(np.sum(commands == 0)) if len(commands) == RECENT else np.nan
 
 
-def captures(record: RunRecord, window: Window) -> float:
-    """Return the captures in a window; nan when the log ends before it does."""
+def successes(record: RunRecord, window: Window) -> float:
+    """Return the successes in a window; nan when the log ends before it does."""
     start, stop = window
-    return float(record.captures[stop] - record.captures[start]) if record.iterations >= stop else np.nan
+    return float(record.successes[stop] - record.successes[start]) if record.iterations >= stop else np.nan
 
 
-def capture_window(record: RunRecord, span: Span) -> Window:
-    """Return the iterations of a phase in which captures count: not those of forced exploration."""
+def success_window(record: RunRecord, span: Span) -> Window:
+    """Return the iterations of a phase in which successes count: not those of forced exploration."""
     return min(max(span.start, record.random_iterations), span.stop), span.stop
 
 

@@ -20,19 +20,19 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from mdb_protocol.messages import CurrentModel, IterationReport, Message, Pair, Phase, Placement, Scene, Timing
-from mdb_services.experiment.brain import EXPERIMENT_FILE, BrainConfig
+from mdb_protocol.messages import CurrentModel, IterationReport, Lesson, Message, Pair, Phase, Scene, Timing
 from mdb_services.acting.models import prequential
-from mdb_services.mechanism.choice import Known
+from mdb_services.experiment.brain import EXPERIMENT_FILE, BrainConfig
+from mdb_services.mechanism.actions.foresight import Known
 from mdb_services.mechanism.networks.encoding import Codebook
 from mdb_services.mechanism.networks.network import Network
 from mdb_services.recorder import Recorded, read_log
+from mdb_sim.body import Numbers
 from mdb_sim.runs.experiment import Experiment
-from mdb_sim.teaching.schedule import schedule_of
-from mdb_sim.teaching.teacher import Language
+from mdb_sim.teaching.languages import Language
 
 ABSENT = -1
-"""Stands in `note` for silence, and in `action` for an iteration whose report is not in the log."""
+"""Stands in `note` for silence, and in `choice` where there is none, or no report in the log."""
 
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,11 +53,12 @@ class Span:
 
 @dataclass(frozen=True)
 class Episode:
-    """The actions from one placement of the object to the next; `places` has one more entry than actions."""
+    """The actions of an episode. `places` are the scenes' numbers, one entry more than actions."""
 
     start: int
     event: str
-    places: tuple[Placement, ...]
+    success: bool
+    places: tuple[Numbers, ...]
 
     @property
     def steps(self) -> int:
@@ -69,7 +70,7 @@ class Episode:
 class RunRecord:
     """A run by iteration: arrays have shape (iterations,) and nan, `ABSENT` or "" where the log has nothing.
 
-    `captures` has shape (iterations + 1,): captures after so many actions, so `captures[b] - captures[a]` are
+    `successes` has shape (iterations + 1,): successes after so many actions, so `successes[b] - successes[a]` are
     those of iterations a to b. Times are in seconds, `feedback` in [-1, 1], `prequential` in scaled units
     squared.
     """
@@ -78,13 +79,13 @@ class RunRecord:
     experiment: Experiment
     spans: tuple[Span, ...]
     reported: Flags
-    action: Ints
+    choice: Ints
     note: Ints
     feedback: Doubles
     explored: Flags
     mode: NDArray[np.str_]
     event: NDArray[np.str_]
-    captures: Ints
+    successes: Ints
     prequential: dict[str, Doubles]
     versions: dict[str, Ints]
     perception_to_action_s: Doubles
@@ -134,7 +135,7 @@ class RunRecord:
 
     def episodes(self) -> Iterator[Episode]:
         """Yield the episodes that the log holds without a gap, the last and perhaps unended one left out."""
-        start, places = 0, list[Placement]()
+        start, places = 0, list[Numbers]()
         for count in sorted(self.scenes):
             scene = self.scenes[count]
             if scene.before is None or scene.action is None:
@@ -143,15 +144,15 @@ class RunRecord:
             if not places or start + len(places) != count:
                 start, places = count - 1, [scene.before]
             places.append(scene.reached)
-            if scene.event != "none":
+            if scene.ended:
                 if self._is_whole(start):
-                    yield Episode(start, scene.event, tuple(places))
+                    yield Episode(start, scene.event, scene.success, tuple(places))
                 places = []
 
     def _is_whole(self, start: int) -> bool:
-        """Whether an episode began where the object was placed: at the first scene, or after an event."""
+        """Whether an episode is there from its beginning: from the first scene, or after the end of another."""
         scene = self.scenes.get(start)
-        return scene is not None and (scene.action is None or scene.event != "none")
+        return scene is not None and (scene.action is None or scene.ended)
 
 
 @dataclass
@@ -161,6 +162,7 @@ class _Found:
     reports: dict[int, IterationReport] = field(default_factory=dict)
     scenes: dict[int, Scene] = field(default_factory=dict)
     phases: dict[int, Phase] = field(default_factory=dict)
+    lessons: list[Lesson] = field(default_factory=list)
     timings: dict[int, Timing] = field(default_factory=dict)
     models: dict[tuple[str, int], CurrentModel] = field(default_factory=dict)
     judged: dict[int, Pair] = field(default_factory=dict)
@@ -174,6 +176,8 @@ class _Found:
                 self.scenes.setdefault(message.iteration, message)
             case Phase():
                 self.phases.setdefault(message.iteration, message)
+            case Lesson():
+                self.lessons.append(message)
             case Timing():
                 self.timings.setdefault(message.iteration, message)
             case CurrentModel():
@@ -220,15 +224,15 @@ def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> Run
     return RunRecord(
         run=run,
         experiment=experiment,
-        spans=_spans(experiment, found.phases, n, heard=any(r.note is not None for r in reports.values())),
+        spans=_spans(experiment, found, n, heard=any(r.note is not None for r in reports.values())),
         reported=_column(n, dict.fromkeys(reports, True), False, np.bool_),
-        action=_column(n, {i: r.action for i, r in reports.items()}, ABSENT, np.int64),
+        choice=_column(n, {i: r.choice for i, r in reports.items()}, ABSENT, np.int64),
         note=_column(n, {i: r.note for i, r in reports.items()}, ABSENT, np.int64),
         feedback=_column(n, {i: r.feedback for i, r in reports.items()}, np.nan, np.float64),
         explored=_column(n, {i: r.explored for i, r in reports.items()}, False, np.bool_),
         mode=_column(n, {i: r.mode for i, r in reports.items()}, "", np.dtype("U64")),
-        event=_column(n, {i: r.event for i, r in reports.items()}, "", np.dtype("U8")),
-        captures=_captures(found, n),
+        event=_column(n, {i: r.event for i, r in reports.items()}, "", np.dtype("U64")),
+        successes=_successes(found, frozenset(experiment.robot.successes), n),
         prequential=_by_model(n, {i: r.prequential for i, r in reports.items()}, np.nan, np.float64),
         versions=_by_model(n, {i: r.versions for i, r in reports.items()}, 0, np.int64),
         perception_to_action_s=_column(
@@ -254,8 +258,8 @@ def _by_model(n: int, values: Mapping[int, Mapping[str, float]], absent: Any, dt
     return {name: _column(n, {i: v.get(name) for i, v in values.items()}, absent, dtype) for name in names}
 
 
-def _captures(found: _Found, n: int) -> Ints:
-    """Return the captures after 0 to n actions.
+def _successes(found: _Found, events: frozenset[str], n: int) -> Ints:
+    """Return the successes after 0 to n actions.
 
     Counted from the events, for a robot that was restarted counts from its own beginning. What happened while
     nobody recorded comes from the robot's own count, at the first scene after the gap.
@@ -264,29 +268,45 @@ def _captures(found: _Found, n: int) -> Ints:
     last = 0
     for i in range(n):
         report, scene = found.reports.get(i), found.scenes.get(i + 1)
-        event = scene.event if scene else report.event if report else "none"
-        gained[i + 1] = event == "capture"
+        gained[i + 1] = scene.success if scene else report is not None and report.event in events
         if scene is not None:
             before = found.scenes.get(last)
-            missed = scene.captures - (before.captures if before else 0) - int(gained[last + 1 : i + 2].sum())
+            missed = scene.successes - (before.successes if before else 0) - int(gained[last + 1 : i + 2].sum())
             gained[i + 1] += max(0, missed)
             last = i + 1
     return np.cumsum(gained)
 
 
-def _spans(experiment: Experiment, logged: Mapping[int, Phase], n: int, *, heard: bool) -> tuple[Span, ...]:
+def _spans(experiment: Experiment, found: _Found, n: int, *, heard: bool) -> tuple[Span, ...]:
     """Return the phases: those that were announced, and of the experiment's schedule those still to come."""
     planned: dict[int, Span] = {}
     if experiment.teacher is not None:
-        schedule = schedule_of(experiment.teacher, experiment.brain.experiment.seed, experiment.robot.world)
-        planned = {p.start: Span(p.name, p.start, p.start, p.teacher, p.language) for p in schedule.phases}
+        phases = experiment.schedule().phases
+        planned = {p.start: Span(p.name, p.start, p.start, p.teacher, p.language) for p in phases}
     end = max(n, experiment.brain.experiment.iterations)
-    starts = {i: span for i, span in planned.items() if i > max(logged, default=-1)}
-    for i, phase in logged.items():
+    starts = {i: span for i, span in planned.items() if i > max(found.phases, default=-1)}
+    for i, phase in found.phases.items():
         plan = planned.get(i)
         language = plan.language if plan is not None and plan.teacher == phase.teacher else None
         starts[i] = Span(phase.name, i, i, phase.teacher, language)
     if not starts:
-        starts[0] = Span("whole run", 0, 0, "somebody" if heard else None)
+        starts = _lessons(found.lessons) or {0: Span("whole run", 0, 0, "somebody" if heard else None)}
     edges = [*sorted(i for i in starts if i < end), end]
     return tuple(replace(starts[a], stop=b) for a, b in pairwise(edges))
+
+
+def _lessons(lessons: Iterable[Lesson]) -> dict[int, Span]:
+    """Return the phases that outside teachers have announced, by their beginnings; between them nobody teaches."""
+    starts: dict[int, Span] = {}
+    teaching: dict[str, Span] = {}
+    for lesson in lessons:
+        at, who = lesson.iteration, lesson.teacher
+        if lesson.over:
+            teaching.pop(who, None)
+        else:
+            teaching[who] = Span(who, at, at, who, Language(f"of {who}", tuple(lesson.notes)))
+        now = next(reversed(teaching.values()), None)
+        starts[at] = Span("alone", at, at) if now is None else replace(now, start=at)
+    if starts and min(starts) > 0:
+        starts[0] = Span("nobody yet", 0, 0)
+    return starts

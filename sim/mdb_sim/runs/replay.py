@@ -28,18 +28,17 @@ from mdb_protocol.errors import MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services import evolver
+from mdb_services.acting import optimizer, teachers
+from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.hearing import ear
 from mdb_services.memory import store as memory_store
-from mdb_services.acting import optimizer
-from mdb_services.acting import teachers
-from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.memory.file import MemoryFile
 from mdb_services.recorder import Recorded, read_log
 from mdb_services.shell.service import Service, close
 from mdb_sim.robot import service as robot_service
-from mdb_sim.teaching import service as teacher_service
 from mdb_sim.runs.compare import EXACTLY, Compare, Comparison
 from mdb_sim.runs.experiment import Experiment
+from mdb_sim.teaching import service as teacher_service
 
 MOST_STEPS = 1000
 """Steps that a service may take after one message; more is an error of the service."""
@@ -115,7 +114,9 @@ def roles(experiment: Experiment) -> dict[str, Role]:
         return evolver.Evolver(bus, brain, model)
 
     def move(bus: MemoryBus, _: Path) -> Service:
-        return robot_service.RobotService(bus, experiment.body(), seed, clock=_stopped, deadlines=False)
+        body, rules = experiment.body(), experiment.robot.rules
+        changes = experiment.robot.changes
+        return robot_service.RobotService(bus, body, rules, seed, changes=changes, clock=_stopped, deadlines=False)
 
     found = {"memory": Role(memory, at(keys.MEMORY_CHANGE, keys.CONTEXT, keys.PAIR_STORED), exact=lockstep)}
     for name in (model.name for model in brain.model):

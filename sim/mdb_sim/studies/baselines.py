@@ -17,13 +17,13 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE
 from mdb_services.mechanism.networks import streams
 from mdb_services.recorder import Recorded
-from mdb_sim.body import Placement, Reading, Robot, Step
-from mdb_sim.placements import message_of
+from mdb_sim.body import Body, Numbers, Reading
+from mdb_sim.robot.course import Course
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.record import RunRecord, record_of
 from mdb_sim.studies.gaussian import GaussianPlayer
-from mdb_sim.studies.twins import ideal_policy
-from mdb_sim.teaching.schedule import Schedule, schedule_of
+from mdb_sim.studies.ideal import ideal_policy
+from mdb_sim.teaching.schedule import Schedule
 from mdb_sim.teaching.service import ScriptedTeacher
 
 M = TypeVar("M")
@@ -32,8 +32,8 @@ M = TypeVar("M")
 class Player(Protocol):
     """Whoever chooses actions in the place of the brain."""
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Placement) -> int:
-        """Return the action for an iteration that begins with this reading, after this note."""
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
+        """Return the choice for an iteration that begins with this reading, after this note."""
 
     def did(self, iteration: int, reading: Reading, note: int | None, action: int) -> None:
         """Take what was done in an iteration: while exploration is forced, another action than was chosen."""
@@ -57,12 +57,13 @@ class IdealPlayer(_Plain):
 
     def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
         del schedule
-        self._policy = ideal_policy(experiment.robot.world)
+        self._policy = ideal_policy(experiment)
+        self._choices = [choice.values for choice in experiment.brain.choice]
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Placement) -> int:
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
         """See `Player`."""
         del iteration, reading, note
-        return self._policy(truth)
+        return self._choices.index(self._policy(truth))
 
 
 class RandomPlayer(_Plain):
@@ -70,9 +71,9 @@ class RandomPlayer(_Plain):
 
     def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
         del schedule
-        self._seed, self._actions = experiment.brain.experiment.seed, experiment.brain.optimizer.actions
+        self._seed, self._actions = experiment.brain.experiment.seed, len(experiment.brain.choice)
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Placement) -> int:
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
         """See `Player`."""
         del reading, note, truth
         return int(streams.generator(self._seed, "baseline/random", iteration).integers(self._actions))
@@ -84,13 +85,20 @@ class ObedientPlayer(RandomPlayer):
     def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
         super().__init__(experiment, schedule)
         self._schedule = schedule
+        choices = [choice.values for choice in experiment.brain.choice]
+        policy = schedule.policy
+        self._meant = [
+            max(range(len(choices)), key=lambda c, w=wanted: policy.expected(w, choices[c]) or 0.0)  # type: ignore[misc]
+            for wanted in range(len(policy.commands))
+        ]
+        """The choice for each command."""
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Placement) -> int:
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
         """See `Player`."""
         language = self._schedule.at(iteration).language
         if note is None or language is None:
             return super().act(iteration, reading, note, truth)
-        return language.command(note)
+        return self._meant[language.command(note)]
 
 
 PLAYERS: dict[str, Callable[[Experiment, Schedule], Player]] = {
@@ -108,9 +116,11 @@ def play(experiment: Experiment, name: str, run: Path) -> RunRecord:
         raise ConfigError(f"no player {name!r}; expected one of {', '.join(PLAYERS)}")
     if experiment.teacher is None:
         raise ConfigError("a baseline needs the scripted teacher; the experiment file has no [teacher] section")
+    if not experiment.brain.choice:
+        raise ConfigError("a baseline chooses among [[choice]] entries; the experiment file has none")
     run.mkdir(parents=True, exist_ok=True)
     experiment.write(run / EXPERIMENT_FILE)
-    schedule = schedule_of(experiment.teacher, experiment.brain.experiment.seed, experiment.robot.world)
+    schedule = experiment.schedule()
     player = PLAYERS[name](experiment, schedule)
     body = experiment.body()
     try:
@@ -144,23 +154,22 @@ def _taken(take: Callable[[], M | None]) -> Iterator[M]:
         yield message
 
 
-def _log(experiment: Experiment, schedule: Schedule, player: Player, body: Robot) -> Iterator[Recorded]:
+def _log(experiment: Experiment, schedule: Schedule, player: Player, body: Body) -> Iterator[Recorded]:
     """Yield what a recorder would have written of a run: phases, scenes and reports."""
     seed, random_iterations = experiment.brain.experiment.seed, experiment.brain.optimizer.random_iterations
     teacher, anything = _Teacher(experiment, schedule), RandomPlayer(experiment, schedule)
-    step = body.reset(seed)
-    note, _, phases = teacher.shown(_scene(step, None, None))
+    course, choices = Course(body, experiment.robot.rules, seed), experiment.brain.choice
+    note, _, phases = teacher.shown(course.last.scene())
     yield from (Recorded(keys.PHASE, "", phase, 0.0) for phase in phases)
-    yield Recorded(keys.SCENE, "", _scene(step, None, None), 0.0)
+    yield Recorded(keys.SCENE, "", course.last.scene(), 0.0)
     for iteration in range(experiment.brain.experiment.iterations):
-        before = step
+        before = course.last
         explored = iteration < random_iterations
         chooser = anything if explored else player
-        action = chooser.act(iteration, before.next_reading, note, before.now)
-        player.did(iteration, before.next_reading, note, action)
-        step = body.act(action)
-        scene = _scene(step, action, before.now)
-        next_note, feedback, phases = teacher.shown(scene)
+        choice = chooser.act(iteration, before.reading, note, before.now)
+        player.did(iteration, before.reading, note, choice)
+        step = course.act(choices[choice].values)
+        next_note, feedback, phases = teacher.shown(step.scene())
         value = None
         for judged in feedback:
             if judged.value is not None:
@@ -170,7 +179,8 @@ def _log(experiment: Experiment, schedule: Schedule, player: Player, body: Robot
         report = messages.IterationReport(
             iteration=iteration,
             mode="baseline",
-            action=action,
+            action=choices[choice].values,
+            choice=choice,
             explored=explored,
             predicted=None,
             note=note,
@@ -180,19 +190,6 @@ def _log(experiment: Experiment, schedule: Schedule, player: Player, body: Robot
             versions={},
         )
         yield Recorded(keys.ITERATION, "", report, 0.0)
-        yield Recorded(keys.SCENE, "", scene, 0.0)
+        yield Recorded(keys.SCENE, "", step.scene(), 0.0)
         yield from (Recorded(keys.PHASE, "", phase, 0.0) for phase in phases)
         note = next_note
-
-
-def _scene(step: Step, action: int | None, before: Placement | None) -> messages.Scene:
-    return messages.Scene(
-        iteration=step.iteration,
-        episode=step.episode,
-        captures=step.captures,
-        event=step.event,
-        action=action,
-        before=message_of(before) if before is not None else None,
-        reached=message_of(step.reached),
-        now=message_of(step.now),
-    )

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from mdb_services.mechanism.networks import streams
 from mdb_sim.bodies.pioneer.perceive import unfold
-from mdb_sim.body import Placement, Reading
+from mdb_sim.body import Numbers, Reading
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.teaching.schedule import Schedule
-from mdb_sim.teaching.teacher import turn_ranks
 
 Array = NDArray[np.float64]
 
@@ -128,13 +127,14 @@ class GaussianPlayer:
 
     def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
         del schedule
-        world = experiment.robot.world
-        self._seed, self._actions = experiment.brain.experiment.seed, len(world.turns_deg)
+        turns_deg = [choice.values["turn"] for choice in experiment.brain.choice]
+        ranks = tuple(sorted(turns_deg).index(turn) for turn in turns_deg)
+        self._seed, self._actions = experiment.brain.experiment.seed, len(turns_deg)
         self._window = experiment.brain.optimizer.feedback_window
-        self._bandit, self._induced = Bandit(turn_ranks(world.turns_deg)), Induced(world.turns_rad)
+        self._bandit, self._induced = Bandit(ranks), Induced(tuple(map(math.radians, turns_deg)))
         self._done: dict[int, tuple[Reading, int, int]] = {}
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Placement) -> int:
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
         """Obey a note as well as is known, else do what would earn most here, else anything."""
         del truth
         if note is not None:

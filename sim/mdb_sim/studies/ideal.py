@@ -1,56 +1,79 @@
-"""What could have been captured: an ideal policy from where a phase begins, on the same placements.
+"""What could have been reached: an ideal policy from where a phase begins, on the same placements.
 
-Owns the bound that a phase's captures are judged by. The ideal policy sees the truth and always takes the
-action that a teacher would ask for. The seed gives the same placement to the same episode, so robot and ideal
-meet the same objects one after the other; the better one meets more of them.
+Owns the bound that a phase's successes are judged by. The ideal policy sees the truth and always does what a teacher
+would ask for. The seed gives the same placement to the same episode, so robot and ideal meet the same objects one
+after the other; the better one meets more of them.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 
+from mdb_protocol import messages
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
-from mdb_sim.placements import placement_of
+from mdb_sim.bodies.pioneer.world import placement_of
+from mdb_sim.body import Numbers
+from mdb_sim.robot.course import Course
+from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.measures import Window
 from mdb_sim.runs.record import RunRecord
-from mdb_sim.studies.twins import ideal_policy
+from mdb_sim.teaching.policy import Policy
 
 KNOWN_BODIES = ("kinematic", "pybullet")
 """Bodies whose ideal we can have. PyBullet's is that of its kinematic twin, which is cheap and moves alike."""
 
+Ideal = Callable[[Mapping[str, float]], Numbers]
+"""The action that is wanted in a scene."""
 
-def ideal_captures(record: RunRecord, window: Window) -> float:
-    """Return the captures of the ideal policy in a window of a run, begun from that run's scene there.
 
-    nan when the body is not one of ours, or the log does not hold the window.
+def ideal_policy(experiment: Experiment) -> Ideal:
+    """Return who takes the choice that the experiment's teacher can be expected to judge best."""
+    policy = experiment.schedule().policy
+    choices = [choice.values for choice in experiment.brain.choice]
+    best = [_best(policy, wanted, choices) for wanted in range(len(policy.commands))]
+
+    def act(scene: Mapping[str, float]) -> Numbers:
+        wanted = policy.want(scene)
+        return choices[0] if wanted is None else best[wanted]
+
+    return act
+
+
+def _best(policy: Policy, wanted: int, choices: list[Numbers]) -> Numbers:
+    return max(choices, key=lambda values: policy.expected(wanted, values) or 0.0)
+
+
+def ideal_successes(record: RunRecord, window: Window) -> float:
+    """Return the successes of the ideal policy in a window of a run, begun from that run's scene there.
+
+    nan when the body is not one of ours, nobody teaches, or the log does not hold the window.
     """
     start, stop = window
-    scene = record.scenes.get(start)
-    if record.experiment.robot.body not in KNOWN_BODIES or scene is None or record.iterations < stop:
+    scene, experiment = record.scenes.get(start), record.experiment
+    known = experiment.robot.body in KNOWN_BODIES and experiment.teacher is not None
+    if not known or scene is None or record.iterations < stop:
         return math.nan
-    with KinematicRobot(record.experiment.robot.world) as robot:
-        robot.restore(
-            placement_of(scene.now),
-            start,
-            seed=record.seed,
-            episode=scene.episode,
-            captures=0,
-            episode_age=_episode_age(record, start),
+    with KinematicRobot(**experiment.robot.options) as robot:
+        course = Course(robot, experiment.robot.rules, record.seed)
+        robot.put(placement_of(scene.now), record.seed, start)
+        course.go_on(
+            messages.RobotState(
+                perception=messages.Perception(iteration=start, outcome={}, reading={}),
+                scene=scene,
+                age=_age(record, start),
+                body=robot.state(),
+            )
         )
-        return float(_captures(robot, stop - start))
+        act = ideal_policy(experiment)
+        for _ in range(stop - start):
+            course.act(act(course.last.now))
+        return float(course.last.successes - scene.successes)
 
 
-def _episode_age(record: RunRecord, start: int) -> int:
-    """Return the actions since the object was last placed anew."""
+def _age(record: RunRecord, start: int) -> int:
+    """Return the actions since the episode began."""
     age = 0
-    while age < start and record.event[start - 1 - age] == "none":
+    while age < start and not ((scene := record.scenes.get(start - age)) is not None and scene.ended):
         age += 1
     return age
-
-
-def _captures(robot: KinematicRobot, iterations: int) -> int:
-    policy = ideal_policy(robot.config)
-    captures = 0
-    for _ in range(iterations):
-        captures = robot.act(policy(robot.placement)).captures
-    return captures

@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from mdb_sim.runs import measures
 from mdb_sim.runs.record import Doubles, Episode, RunRecord, Span
 from mdb_sim.runs.trajectories import typical
-from mdb_sim.studies.ideal import ideal_captures
+from mdb_sim.studies.ideal import ideal_successes
 
 Curve = NDArray[np.float32]
 Marks = NDArray[np.int8]
 Counts = NDArray[np.int32]
 
+POSES = ("object_x_m", "object_y_m", "x_m", "y_m", "heading_rad")
+"""The numbers of a scene that a path consists of."""
 ABSENT = -1
 """Stands in `obeyed` where no command came."""
 
@@ -71,7 +73,7 @@ class PhaseRow:
     capture_steps: Counts
     """Steps of each episode of the phase that ended in a capture."""
     paths: tuple[Curve, ...]
-    """Typical episodes: object x, y, then x, y and heading of each place, in m and rad."""
+    """Typical episodes: object x, y, then x, y and heading of each place, in m and rad; empty without these."""
 
     @property
     def share(self) -> float:
@@ -99,10 +101,10 @@ def _row(
     record: RunRecord, place: int, span: Span, curves: Mapping[str, Doubles], episodes: list[Episode]
 ) -> PhaseRow:
     phase = slice(span.start, min(span.stop, record.iterations))
-    window = measures.capture_window(record, span)
+    window = measures.success_window(record, span)
     events = record.event[phase].tolist()
     inside = [e for e in episodes if window[0] <= e.start and e.start + e.steps <= span.stop]
-    done = [episode for episode in inside if episode.event == "capture"]
+    done = [episode for episode in inside if episode.success]
     return PhaseRow(
         seed=record.seed,
         body=record.experiment.robot.body,
@@ -112,13 +114,13 @@ def _row(
         start=span.start,
         stop=span.stop,
         counted_from=window[0],
-        captures=measures.captures(record, window),
-        ideal_captures=ideal_captures(record, window),
+        captures=measures.successes(record, window),
+        ideal_captures=ideal_successes(record, window),
         random_iterations=record.random_iterations,
         bumps=events.count("bump"),
         lost=events.count("lost"),
         timeouts=events.count("timeout"),
-        captured=np.diff(record.captures[phase.start : phase.stop + 1]).astype(np.int8),
+        captured=np.diff(record.successes[phase.start : phase.stop + 1]).astype(np.int8),
         capture_steps=np.array([episode.steps for episode in done], dtype=np.int32),
         paths=tuple(_path(episode) for _, episode in typical(done)),
         prequential_curve=curves["prequential"][phase].astype(np.float32),
@@ -161,9 +163,11 @@ def _learning(record: RunRecord, span: Span, curves: Mapping[str, Doubles]) -> d
 
 
 def _path(episode: Episode) -> Curve:
+    if not set(POSES) <= set(episode.places[0]):
+        return np.zeros(0, np.float32)
     first = episode.places[0]
-    places = [value for place in episode.places for value in (place.x_m, place.y_m, place.heading_rad)]
-    return np.array([first.object_x_m, first.object_y_m, *places], dtype=np.float32)
+    places = [place[name] for place in episode.places for name in POSES[2:]]
+    return np.array([*(first[name] for name in POSES[:2]), *places], dtype=np.float32)
 
 
 CURVES = tuple(field.name for field in fields(PhaseRow) if field.type in ("Marks", "Curve", "Counts"))

@@ -6,6 +6,7 @@ add a line here; to add a study, add it to `catalogue`, to `VARIANTS` here, and 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -130,11 +131,10 @@ def scalar_note(brain: BrainConfig) -> Overrides:
 
 def listed_actions(brain: BrainConfig) -> Overrides:
     """Return what makes the action one number, its place in the paper's listing, wherever it is read."""
-    last = brain.optimizer.actions - 1
-    read = [name for name, section in brain.channels.items() if "action" in (name, section.of)]
-    ordered = [name for name in read if brain.variables()[name].indices is not None]
-    of = {name: ', of="action"' if name != "action" else "" for name in ordered}
-    return tuple(f"channels.{name}={{low=0, high={last}{of[name]}}}" for name in ordered)
+    listed = f"channels.action={{low=0, high={len(brain.choice) - 1}}}"
+    reading = [model for model in brain.model if set(model.inputs) & set(brain.actuators)]
+    inputs = {m.name: ["action" if name in brain.actuators else name for name in m.inputs] for m in reading}
+    return (listed, *(f"model.{name}.inputs={json.dumps(read)}" for name, read in inputs.items()))
 
 
 def smaller_memories(brain: BrainConfig) -> Overrides:

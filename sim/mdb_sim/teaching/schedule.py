@@ -1,21 +1,25 @@
 """Who teaches when and in which language: the phases of an experiment.
 
-Owns the `[teacher]` section. Pure: what is wanted and how an action is judged is in `teacher`.
+Owns the `[teacher]` section. Pure: what is wanted and how what happened is judged is in `policy`.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
+import msgspec
 from msgspec import Meta
 
+from mdb_protocol import messages
 from mdb_services.experiment.sections import Name, Probability, Section
 from mdb_services.mechanism.networks import streams
-from mdb_sim.body import Placement, RobotConfig
+from mdb_sim.teaching.languages import Language, TeacherError, make_language
+from mdb_sim.teaching.policy import OBEYED, Policy, make_policy
 from mdb_sim.teaching.sound import SoundSection
-from mdb_sim.teaching.teacher import FEEDBACKS, FeedbackKind, Language, TeacherError, make_language, wanted_action
 
 DRAWN = "random"
 """A language drawn from the run's seed, unlike those of the other teachers."""
@@ -77,9 +81,14 @@ class PhaseSection(Habits, frozen=True, kw_only=True):
 
 
 class TeacherSection(Section, frozen=True, kw_only=True):
-    """`[teacher]`: how the scripted teacher judges, and its phases."""
+    """`[teacher]`: what the scripted teachers want, how they judge, and the phases."""
 
-    feedback: FeedbackKind = "graded"
+    policy: str = "reach"
+    """One of `policy.POLICIES`, or "package.module:Factory"."""
+    options: dict[str, Any] = msgspec.field(default_factory=dict)
+    """What the policy is made with."""
+    feedback: Literal["graded", "binary"] = "graded"
+    """"graded": the judgement itself; "binary": 1 for obedience, -1 for all else, much harder to learn from."""
     sound: SoundSection | None = None
     """How the notes sound; without it the teachers name them."""
     phase: Annotated[tuple[PhaseSection, ...], Meta(min_length=1)]
@@ -101,33 +110,38 @@ class Schedule:
     """The phases in order, and how their teachers see and judge."""
 
     phases: tuple[Phase, ...]
-    turns_rad: tuple[float, ...]
-    feedback: FeedbackKind
+    policy: Policy
+    binary: bool
     seed: int
 
     def at(self, iteration: int) -> Phase:
         """Return the phase of an iteration."""
         return self.phases[bisect_right(self.phases, iteration, key=lambda phase: phase.start) - 1]
 
-    def wanted(self, placement: Placement) -> int:
-        """Return the action that a teacher commands here."""
-        return wanted_action(placement, self.turns_rad)
-
-    def note(self, iteration: int, placement: Placement) -> int | None:
-        """Return the note that is played for an iteration that begins here; None: nobody teaches."""
-        phase = self.at(iteration)
-        if phase.language is None:
+    def note(self, iteration: int, scene: Mapping[str, float]) -> int | None:
+        """Return the note that is played for an iteration that begins here; None: silence."""
+        phase, wanted = self.at(iteration), self.policy.want(scene)
+        if phase.language is None or wanted is None:
             return None
-        note = phase.language.note(self.wanted(placement))
+        note = phase.language.note(wanted)
         rng = streams.generator(self.seed, "teacher/note", iteration)
         if rng.random() < phase.habits.wrong_notes:
             others = [other for other in phase.language.notes if other != note]
             note = int(rng.choice(others))
         return note
 
-    def judgement(self, iteration: int, placement: Placement, action: int) -> float:
-        """Return how good an action is, in an iteration that began here, as the teacher sees it: he may err."""
-        value = FEEDBACKS[self.feedback](self.wanted(placement), action, self.turns_rad)
+    def judgement(self, iteration: int, scene: messages.Scene) -> float | None:
+        """Return how good what happened in an iteration is, as the teacher sees it: he may err. None: no judgement.
+
+        The iteration is the one that led to the scene.
+        """
+        wanted = None if scene.before is None else self.policy.want(scene.before)
+        if wanted is None or scene.before is None:
+            return None
+        judgement = self.policy.judge(scene.before, scene.reached, scene.event, wanted)
+        if judgement is None:
+            return None
+        value = graded(judgement, binary=self.binary)
         mistaken = streams.generator(self.seed, "teacher/feedback", iteration).random()
         return -value if mistaken < self.at(iteration).habits.wrong_feedback else value
 
@@ -147,8 +161,16 @@ class Schedule:
         return habits.delay + int(rng.integers(-habits.delay_spread, habits.delay_spread + 1))
 
 
-def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Schedule:
-    """Return the schedule of a `[teacher]` section; TeacherError when its phases make none."""
+def graded(judgement: float, *, binary: bool) -> float:
+    """Return a judgement as it is said, or, of a teacher who knows obedience only, 1 for it and -1 for all else."""
+    if not binary:
+        return judgement
+    return 1.0 if judgement >= OBEYED else -1.0
+
+
+def schedule_of(section: TeacherSection, seed: int, folder: Path | None = None) -> Schedule:
+    """Return the schedule of a `[teacher]` section; TeacherError when its policy or its phases make none."""
+    policy = make_policy(section.policy, section.options, folder)
     starts = [phase.start for phase in section.phase]
     if starts[0] != 0 or starts != sorted(set(starts)):
         raise TeacherError(f"phases start at {starts}; expected 0 first and then growing iterations")
@@ -159,23 +181,23 @@ def schedule_of(section: TeacherSection, seed: int, world: RobotConfig) -> Sched
             raise TeacherError(f'phase {phase.name!r}: a language needs its teacher; add teacher = "NAME"')
         if phase.teacher is not None and phase.language is not None:
             taken = [language.notes for name, language in languages.items() if name != phase.teacher]
-            languages[phase.teacher] = _language(phase.language, phase.teacher, seed, world, taken)
+            languages[phase.teacher] = _language(phase.language, phase.teacher, seed, policy, taken)
         if phase.teacher is not None and phase.teacher not in languages:
             raise TeacherError(f"phase {phase.name!r}: teacher {phase.teacher!r} needs a language")
         language = languages[phase.teacher] if phase.teacher else None
         phases.append(Phase(phase.start, phase.name, phase.teacher, language, phase))
-    return Schedule(tuple(phases), world.turns_rad, section.feedback, seed)
+    return Schedule(tuple(phases), policy, section.feedback == "binary", seed)
 
 
-def _language(name: str, teacher: str, seed: int, world: RobotConfig, taken: list[tuple[int, ...]]) -> Language:
+def _language(name: str, teacher: str, seed: int, policy: Policy, taken: list[tuple[int, ...]]) -> Language:
     if name != DRAWN:
-        return make_language(name, world.turns_deg)
+        return make_language(name, policy.order)
     for counter in range(DRAWS):
         key = streams.key(seed, f"language/{teacher}/{counter}")
-        language = make_language(f"random:{key}", world.turns_deg)
+        language = make_language(f"random:{key}", policy.order)
         if language.notes not in taken:
             return language
     raise TeacherError(
-        f"no language is left for teacher {teacher!r}: {len(taken)} others speak those that {len(world.turns_deg)} "
-        "actions allow; expected fewer teachers, or a language given by name"
+        f"no language is left for teacher {teacher!r}: {len(taken)} others speak those that "
+        f"{len(policy.commands)} commands allow; expected fewer teachers, or a language given by name"
     )

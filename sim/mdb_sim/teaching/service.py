@@ -13,10 +13,8 @@ from operator import itemgetter
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus, Publisher
-from mdb_sim.placements import placement_of
 from mdb_sim.teaching.schedule import Phase, Schedule
 from mdb_sim.teaching.sound import Player
-from mdb_sim.teaching.teacher import TeacherError
 
 ROLE = "teacher"
 
@@ -61,20 +59,23 @@ class ScriptedTeacher:
         while self._owed and self._owed[0][0] <= scene.iteration:
             self._reward(self._owed.pop(0)[1])
         iteration = scene.iteration - 1
-        if iteration < 0 or scene.action is None or scene.before is None:
+        if iteration < 0 or scene.iteration == self._iteration:  # a robot that waits shows it again
             return
         phase = self._schedule.at(iteration)
         if phase.teacher is None:
             return
         try:
-            judgement = self._schedule.judgement(iteration, placement_of(scene.before), scene.action)
-        except TeacherError as error:
-            self.bus.refusals.add(keys.SCENE.path, str(error))
+            judgement = self._schedule.judgement(iteration, scene)
+        except LookupError as error:
+            self.bus.refusals.add(keys.SCENE.path, f"no {error} in the scene; the policy looks at it")
+            return
+        named = iteration if phase.habits.named else None
+        if judgement is None:
+            self._reward(messages.Feedback(teacher=phase.teacher, iteration=named, value=None))
             return
         value = self._schedule.said(iteration, judgement, self._compare(phase, phase.teacher, judgement))
         if not phase.habits.named and self._iteration < 0:
             value = None
-        named = iteration if phase.habits.named else None
         delay = self._schedule.delay(iteration)
         if delay and value is not None:
             owed = messages.Feedback(teacher=phase.teacher, iteration=named, value=value)
@@ -101,12 +102,19 @@ class ScriptedTeacher:
         if phase.teacher is None or phase.language is None:
             self._silent.put(messages.Command(teacher=self.instance, iteration=scene.iteration, note=None))
         else:
-            note = self._schedule.note(scene.iteration, placement_of(scene.now))
+            note = self._note(scene)
             self._say(phase.teacher, scene.iteration, note)
         self._phase = phase
         if before.teacher is not None and before.teacher != phase.teacher:
             # He is silent from now on, which frees the word; after the other's note, which else could come too late.
             self._say(before.teacher, scene.iteration, None)
+
+    def _note(self, scene: messages.Scene) -> int | None:
+        try:
+            return self._schedule.note(scene.iteration, scene.now)
+        except LookupError as error:
+            self.bus.refusals.add(keys.SCENE.path, f"no {error} in the scene; the policy looks at it")
+            return None
 
     def _say(self, teacher: str, iteration: int, note: int | None) -> None:
         if self._player is None:

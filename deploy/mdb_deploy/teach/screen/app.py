@@ -20,12 +20,12 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from mdb_deploy.teach.keyboard import DIGITS, FULL, NOTE_KEYS, graded
-from mdb_deploy.teach.screen import arena, panel
+from mdb_deploy.teach.screen import panel, picture
+from mdb_deploy.teach.screen.canvas import Window
 from mdb_deploy.teach.screen.language import LanguageScreen
 from mdb_deploy.teach.session import TeachingSession
 from mdb_deploy.teach.view import View
 from mdb_services.shell.service import run
-from mdb_sim.placements import placement_of
 
 REFRESH_S, POLL_S = 0.25, 0.05
 """The least time from one drawing to the next, and how often the session is asked for something new."""
@@ -67,15 +67,14 @@ class SessionThread:
             self._thread.join(STOP_S)
 
 
-class ArenaPicture(Widget):
-    """The arena, as large as there is room for."""
+class ScenePicture(Widget):
+    """The scene, as large as there is room for: a drawing, an image, or numbers, as the robot shows it."""
 
     def __init__(self, session: TeachingSession) -> None:
-        super().__init__(id="arena")
-        self._session = session
+        super().__init__(id="scene")
         self._view = session.view
-        self._window: arena.Window | None = None
-        self.heading_up = False
+        self._window: Window | None = None
+        self.front_up = False
 
     def show(self, view: View) -> None:
         """Draw what is new."""
@@ -85,15 +84,17 @@ class ArenaPicture(Widget):
 
     def render(self) -> Text:
         """Draw the scene; words as long as there is none."""
-        view = self._view
+        view, columns, rows = self._view, self.size.width, self.size.height
         if view.scene is None:
             return Text("no scene yet", panel.FAINT)
-        placement = placement_of(view.scene.now)
-        self._window = arena.follow(self._window, placement)
-        sensed = view.perception if view.perception and view.perception.iteration == view.scene.iteration else None
-        reading = sensed.reading if sensed else None
-        picture = arena.Picture(placement, view.trail, reading, self.heading_up)
-        return arena.draw(picture, self._window, self._session.world, self.size.width, self.size.height)
+        if view.picture is not None and view.picture.drawing is not None:
+            drawing = view.picture.drawing
+            self._window = picture.follow(self._window, drawing)
+            return picture.draw(drawing, self._window, columns, rows, front_up=self.front_up)
+        if view.picture is not None and view.picture.image is not None:
+            return picture.show_image(view.picture.image, columns, rows)
+        perceived = view.perception.reading if view.perception else None
+        return picture.show_numbers(view.scene.now, perceived, rows)
 
 
 def _event(view: View) -> str:
@@ -116,10 +117,10 @@ class TeachApp(App[int]):
     #top, #notes, #help, #panel { text-wrap: nowrap; text-overflow: ellipsis; }
     #says { height: 2; }
     #middle { height: 1fr; layout: horizontal; }
-    #arena { width: 1fr; height: 100%; border: round $secondary; }
+    #scene { width: 1fr; height: 100%; border: round $secondary; }
     #panel { width: 36; height: 100%; padding: 0 0 0 1; }
     .-narrow #middle { layout: vertical; }
-    .-narrow #arena { width: 100%; height: 1fr; }
+    .-narrow #scene { width: 100%; height: 1fr; }
     .-narrow #panel { width: 100%; height: 8; }
     .-narrow.-low #panel { height: 4; }
     .-low #help { display: none; }
@@ -145,10 +146,10 @@ class TeachApp(App[int]):
         self._shown, self._shown_s = session.view, -STALE_S
 
     def compose(self) -> ComposeResult:
-        """From top to bottom: who and where, arena and figures, what goes wrong, notes, keys."""
+        """From top to bottom: who and where, scene and figures, what goes wrong, notes, keys."""
         yield Static(id="top")
         with Vertical(id="middle"):
-            yield ArenaPicture(self.session)
+            yield ScenePicture(self.session)
             yield Static(id="panel")
         yield Static(id="says")
         yield Static(id="notes")
@@ -169,12 +170,12 @@ class TeachApp(App[int]):
 
     def _draw_view(self, view: View) -> None:
         self._shown, self._shown_s = view, time.monotonic()
-        session, suggest, turns = self.session, self._suggest, self.session.world.turns_deg
+        session, suggest, meant = self.session, self._suggest, self.session.policy.commands
         self._show("#top", panel.top(view, session.instance, session.bus.brain, self._where))
-        self._show("#panel", panel.panel(view, session.instance, turns))
-        self._show("#says", panel.says(view, turns, self._shown_s, suggest=suggest))
-        self._show("#notes", panel.note_keys(view, turns, self.size.width, suggest=suggest))
-        self.screen_stack[0].query_one(ArenaPicture).show(view)
+        self._show("#panel", panel.panel(view, session.instance, meant))
+        self._show("#says", panel.says(view, meant, self._shown_s, suggest=suggest))
+        self._show("#notes", panel.note_keys(view, meant, self.size.width, suggest=suggest))
+        self.screen_stack[0].query_one(ScenePicture).show(view)
 
     def _show(self, where: str, text: Text) -> None:
         """Change a part of the main screen, which may lie below another."""
@@ -183,7 +184,7 @@ class TeachApp(App[int]):
     def on_key(self, event: events.Key) -> None:
         """Notes, and feedback for the action that is on the screen."""
         character = event.character or "?"
-        if 0 <= (note := NOTE_KEYS.find(character)) < len(self.session.world.turns_deg):
+        if 0 <= (note := NOTE_KEYS.find(character)) < len(self.session.policy.commands):
             self.session.command(note)
         elif character in DIGITS:
             self._judge(graded(int(character)))
@@ -207,9 +208,9 @@ class TeachApp(App[int]):
         self._suggest = not self._suggest
 
     def action_turn_picture(self) -> None:
-        """Turn the picture with the robot, or with the arena."""
-        picture = self.query_one(ArenaPicture)
-        picture.heading_up = not picture.heading_up
+        """Turn the picture with the robot, or with the scene."""
+        scene = self.query_one(ScenePicture)
+        scene.front_up = not scene.front_up
 
     def action_language(self) -> None:
         """Look at what the notes mean, and change it."""

@@ -12,8 +12,8 @@ from textual.widgets import Static
 
 from mdb_deploy.teach.keyboard import NOTE_KEYS
 from mdb_deploy.teach.session import TeachingSession
-from mdb_deploy.teach.view import meaning, swapped
-from mdb_sim.teaching.teacher import Language, make_language
+from mdb_deploy.teach.view import swapped
+from mdb_sim.teaching.languages import Language, make_language
 
 TITLE, FAINT = "bold", "not bold grey50"
 MOVES = {"up": -1, "down": 1}
@@ -29,8 +29,8 @@ class LanguageScreen(ModalScreen[None]):
         super().__init__()
         self._session = session
         self._language = session.view.language
-        self._turns = session.world.turns_deg
-        self._order = sorted(range(len(self._turns)), key=lambda action: -self._turns[action])
+        self._policy = session.policy
+        self._order = sorted(range(len(self._policy.commands)), key=lambda command: -self._policy.order[command])
         self._row = 0
 
     def compose(self) -> ComposeResult:
@@ -45,7 +45,7 @@ class LanguageScreen(ModalScreen[None]):
         text = Text("What your notes mean (the brain never knows)\n\n", style=TITLE)
         for row, command in enumerate(self._order):
             note = self._language.note(command)
-            line = f" {meaning(self._turns[command]):<10} key {NOTE_KEYS[note]}   note {note:<2} \n"
+            line = f" {self._policy.commands[command]:<10} key {NOTE_KEYS[note]}   note {note:<2} \n"
             text.append(line, "reverse" if row == self._row else "not bold")
         text.append("\n↑ ↓ choose a meaning, a note key gives it that note;\n", FAINT)
         text.append("o ordered   r at random   enter: back", FAINT)
@@ -64,8 +64,8 @@ class LanguageScreen(ModalScreen[None]):
             self.dismiss()
         elif character in WHOLE:
             name = WHOLE[character]
-            self._speak(make_language(f"random:{time.time_ns()}" if name == "random" else name, self._turns))
-        elif 0 <= (note := NOTE_KEYS.find(character)) < len(self._turns):
+            self._speak(make_language(f"random:{time.time_ns()}" if name == "random" else name, self._policy.order))
+        elif 0 <= (note := NOTE_KEYS.find(character)) < len(self._order):
             self._speak(swapped(self._language, self._order[self._row], note))
         if event.is_printable:
             event.stop()

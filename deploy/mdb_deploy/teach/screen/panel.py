@@ -1,4 +1,6 @@
-"""The words and figures around the picture: pure functions from a view to text. `turns`: the actions, in degrees."""
+"""The words and figures around the picture: pure functions from a view to text. `meant`: what each command
+means, in words.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +9,8 @@ from collections.abc import Sequence
 from rich.text import Text
 
 from mdb_deploy.teach.keyboard import HELP, NOTE_KEYS
-from mdb_deploy.teach.record import CAPTURES_IN, OBEDIENCE_OF
-from mdb_deploy.teach.view import Exchange, Latency, View, meaning
+from mdb_deploy.teach.record import OBEDIENCE_OF, SUCCESSES_IN
+from mdb_deploy.teach.view import Exchange, Latency, View
 from mdb_protocol.messages import IterationReport
 
 CELL = 11
@@ -27,7 +29,7 @@ def top(view: View, name: str, brain: str, where: str) -> Text:
     return Text.assemble((name, TITLE), " teaches ", (brain, TITLE), f" at {where} · ", heard, (state, WARN))
 
 
-def says(view: View, turns: Sequence[float], now_s: float, *, suggest: bool) -> Text:
+def says(view: View, meant: Sequence[str], now_s: float, *, suggest: bool) -> Text:
     """Return what is most urgent to say: trouble, a notice, which command would be right."""
     if view.trouble is not None:
         return Text(view.trouble, f"bold {BAD}")
@@ -35,21 +37,21 @@ def says(view: View, turns: Sequence[float], now_s: float, *, suggest: bool) -> 
         return Text(view.notice, WARN)
     if suggest and view.wanted is not None:
         key = NOTE_KEYS[view.language.note(view.wanted)]
-        return Text(f"to face the object: {meaning(turns[view.wanted])}, your key {key}", GOOD)
+        return Text(f"right would be: {meant[view.wanted]}, your key {key}", GOOD)
     return Text()
 
 
-def note_keys(view: View, turns: Sequence[float], columns: int, *, suggest: bool) -> Text:
+def note_keys(view: View, meant: Sequence[str], columns: int, *, suggest: bool) -> Text:
     """Return each note's key and what it means, in as many rows as are needed; the last note said is reversed."""
     last = next((exchange.note for exchange in view.exchanges if exchange.spoke), None)
     wanted = view.language.note(view.wanted) if suggest and view.wanted is not None else None
     in_a_row = max(1, columns // CELL)
     text = Text()
-    for note in range(len(turns)):
-        turn = meaning(turns[view.language.command(note)])
+    for note in range(len(meant)):
+        command = meant[view.language.command(note)]
         style = "reverse" if note == last else GOOD if note == wanted else ""
         text.append("\n" if note and note % in_a_row == 0 else "")
-        text.append(NOTE_KEYS[note], f"{TITLE} {style}").append(f" {turn}".ljust(CELL - 1)[: CELL - 1], style)
+        text.append(NOTE_KEYS[note], f"{TITLE} {style}").append(f" {command}".ljust(CELL - 1)[: CELL - 1], style)
     return text
 
 
@@ -61,14 +63,14 @@ def help_line() -> Text:
     return text
 
 
-def panel(view: View, name: str, turns: Sequence[float]) -> Text:
+def panel(view: View, name: str, meant: Sequence[str]) -> Text:
     """Return the figures, the most important first, then the last iterations, the newest first."""
     judged = f"{view.obedience:.0%} of {view.judged} (last {OBEDIENCE_OF})" if view.obedience is not None else "-"
-    rate = f", {view.captures_per_100:.1f} in {CAPTURES_IN}" if view.captures_per_100 is not None else ""
+    rate = f", {view.successes_per_100:.1f} in {SUCCESSES_IN}" if view.successes_per_100 is not None else ""
     rows = [
         ("acts", _acting(view.report)),
         ("word", _word(view, name)),
-        ("captures", f"{view.captures}{rate}"),
+        ("success", f"{view.successes}{rate}"),
         ("obeys", judged),
         *_errors(view.errors),
         *_latency(view.latency),
@@ -78,7 +80,7 @@ def panel(view: View, name: str, turns: Sequence[float]) -> Text:
         text.append(f"{title:<9}", TITLE).append(f"{said}\n")
     text.append(f"\n{'iter.':>6} {'meant':<9}{'did':<9}reward\n", FAINT)
     for exchange in view.exchanges:
-        text.append_text(_exchange(exchange, turns))
+        text.append_text(_exchange(exchange, meant))
     return text
 
 
@@ -109,14 +111,13 @@ def _ms(seconds: float | None) -> str:
     return "-" if seconds is None else f"{1000 * seconds:.0f}"
 
 
-def _exchange(exchange: Exchange, turns: Sequence[float]) -> Text:
+def _exchange(exchange: Exchange, meant: Sequence[str]) -> Text:
     """Return one line: iteration, key, what was meant, what the robot did, feedback."""
     key = "·" if exchange.note is None else NOTE_KEYS[exchange.note]
-    meant = "-" if exchange.command is None else meaning(turns[exchange.command])
-    did = "…" if exchange.action is None or exchange.action >= len(turns) else meaning(turns[exchange.action])
-    known = exchange.command is not None and exchange.action is not None
-    style = "" if not known else GOOD if exchange.command == exchange.action else BAD
-    text = Text(f"{exchange.iteration:>4} {key} {meant:<9}").append(f"{did:<9}", style)
+    said = "-" if exchange.command is None else meant[exchange.command]
+    did = "…" if exchange.did is None else meant[exchange.did]
+    style = "" if exchange.obeyed is None else GOOD if exchange.obeyed else BAD
+    text = Text(f"{exchange.iteration:>4} {key} {said:<9.9}").append(f"{did:<9.9}", style)
     if exchange.heard is False:
         return text.append("not heard\n", BAD)
     return text.append("\n" if exchange.feedback is None else f"{exchange.feedback:+.2f}\n")

@@ -1,8 +1,9 @@
 """From what was sensed, heard, done and felt to the rows that models learn, and back (ours).
 
 Variables of an action-perception pair, by name: a sensor's name before the action (`distance`), after it
-(`next.distance`), the relative change (`covered.distance`: before minus after), and `note`, `action`,
-`feedback`. A variable that was not there is absent from the facts, and no model that needs it gets a row.
+(`next.distance`), the relative change (`covered.distance`: before minus after), an actuator's name, `action` (which
+choice it was, where there are choices), `note` and `feedback`. A variable that was not there is absent from the
+facts, and no model that needs it gets a row.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from numpy.typing import NDArray
 from mdb_services.mechanism.networks.network import Floats
 
 Facts = dict[str, NDArray[np.float64]]
-"""Variable name to its values, shape (n,): one a case."""
+"""Variable name to its values, one a case: (n,), or (n, numbers) of a sensor that gives a vector."""
 
-Encoding = Literal["scalar", "one_hot", "rank", "value"]
+Encoding = Literal["scalar", "one_hot", "rank"]
 
 NOT_SENSED = ("note", "action", "feedback")
 DERIVED = ("next.", "covered.")
@@ -30,9 +31,8 @@ DERIVED = ("next.", "covered.")
 class Channel:
     """How one variable becomes numbers in about [-1, 1].
 
-    `scalar` maps `low`..`high` to -1..1; `rank` maps an index to the place of its value among the sorted
-    `values`, `value` to that value itself; `one_hot` gives `size` columns, 1 for the index and 0 elsewhere.
-    `of` names the variable when the channel is a second reading of it.
+    `scalar` maps `low`..`high` to -1..1, each of the `numbers` of a vector; `rank` maps an index to the place of its
+    value among the sorted `values`; `one_hot` gives `size` columns, 1 for the index and 0 elsewhere.
     """
 
     encoding: Encoding = "scalar"
@@ -40,7 +40,7 @@ class Channel:
     high: float = 1.0
     size: int = 0
     values: tuple[float, ...] = ()
-    of: str | None = None
+    numbers: int = 1
 
     def __post_init__(self) -> None:
         if not np.isfinite((self.low, self.high, *self.values)).all():
@@ -49,13 +49,15 @@ class Channel:
             raise ValueError(f"low {self.low} and high {self.high}: expected low < high")
         if self.encoding == "one_hot" and self.size < 1:
             raise ValueError(f"size {self.size}: a one_hot channel needs its number of values")
-        if self.encoding in ("rank", "value") and len(set(self.values)) < 2:
-            raise ValueError(f"values {self.values}: a {self.encoding} channel needs one of each index, not equal")
+        if self.encoding == "rank" and len(set(self.values)) < 2:
+            raise ValueError(f"values {self.values}: a rank channel needs one of each index, not equal")
+        if self.numbers < 1 or (self.numbers > 1 and self.encoding != "scalar"):
+            raise ValueError(f"numbers {self.numbers}: expected 1, or more for a scalar channel of a vector")
 
     @property
     def width(self) -> int:
         """Columns in a row."""
-        return self.size if self.encoding == "one_hot" else 1
+        return self.size if self.encoding == "one_hot" else self.numbers
 
     @property
     def indices(self) -> int | None:
@@ -67,54 +69,55 @@ class Channel:
         if self.encoding == "one_hot":
             return f"one_hot of {self.size}"
         if self.encoding == "scalar":
-            return f"scalar {self.low:g} to {self.high:g}"
+            several = f"{self.numbers} times " if self.numbers > 1 else ""
+            return f"{several}scalar {self.low:g} to {self.high:g}"
         return f"{self.encoding} of {', '.join(f'{value:g}' for value in self.values)}"
 
     def has(self, values: NDArray[np.float64]) -> bool:
-        """Whether all values (n,) can be encoded: an index that the channel lacks cannot."""
+        """Whether all values can be encoded: an index that the channel lacks cannot, nor a vector of other length."""
+        if values.shape[1:] != (() if self.numbers == 1 else (self.numbers,)):
+            return False
         if self.indices is None:
             return True
         return bool(((values >= 0) & (values < self.indices) & (values == np.floor(values))).all())
 
     def encode(self, values: NDArray[np.float64]) -> Floats:
-        """Return (n, width) float32 of values (n,)."""
+        """Return (n, width) float32 of values (n,) or (n, numbers)."""
         if self.encoding == "one_hot":
-            columns = np.arange(self.size)
-            hot: Floats = (values[:, None] == columns).astype(np.float32)
+            hot: Floats = (values[:, None] == np.arange(self.size)).astype(np.float32)
             return hot
         if self.encoding == "rank":
             places = np.argsort(np.argsort(np.asarray(self.values), kind="stable"), kind="stable")
             scaled = places[values.astype(np.intp)] * (2.0 / (len(self.values) - 1)) - 1.0
-        elif self.encoding == "value":
-            low, high = min(self.values), max(self.values)
-            scaled = (np.asarray(self.values)[values.astype(np.intp)] - low) * (2.0 / (high - low)) - 1.0
         else:
             scaled = (values - self.low) * (2.0 / (self.high - self.low)) - 1.0
-        column: Floats = np.clip(scaled, -1.5, 1.5).astype(np.float32)[:, None]
-        return column
+        columns: Floats = np.clip(scaled, -1.5, 1.5).astype(np.float32).reshape(len(values), -1)
+        return columns
 
-    def decode(self, column: Floats) -> NDArray[np.float64]:
-        """Return the values (n,) of a scalar column (n,)."""
+    def decode(self, columns: Floats) -> NDArray[np.float64]:
+        """Return the values (n,) or (n, numbers) of scalar columns (n, numbers)."""
         if self.encoding != "scalar":
             raise ValueError(f"a {self.encoding} channel cannot be a model's output; use scalar")
-        return (column.astype(np.float64) + 1.0) * (0.5 * (self.high - self.low)) + self.low
+        values = (columns.astype(np.float64) + 1.0) * (0.5 * (self.high - self.low)) + self.low
+        return values[:, 0] if self.numbers == 1 else values
 
 
 def gather(
     *,
-    before: Mapping[str, float] | None = None,
-    after: Mapping[str, float] | None = None,
+    before: Mapping[str, float | Sequence[float]] | None = None,
+    after: Mapping[str, float | Sequence[float]] | None = None,
     note: float | None = None,
-    action: float | None = None,
+    action: Mapping[str, float] | None = None,
+    choice: float | None = None,
     feedback: float | None = None,
 ) -> Facts:
-    """Return the facts of one pair, each of shape (1,); what is None or missing is absent."""
+    """Return the facts of one pair, each of shape (1,) or (1, numbers); what is None or missing is absent."""
     facts: Facts = {}
     for prefix, reading in (("", before or {}), ("next.", after or {})):
         for name, value in reading.items():
             if name not in NOT_SENSED and not name.startswith(DERIVED):
                 facts[prefix + name] = np.array([value])
-    for name, given in (("note", note), ("action", action), ("feedback", feedback)):
+    for name, given in (*(action or {}).items(), ("note", note), ("action", choice), ("feedback", feedback)):
         if given is not None:
             facts[name] = np.array([float(given)])
     return with_changes(facts)
@@ -123,7 +126,8 @@ def gather(
 def with_changes(facts: Facts) -> Facts:
     """Add `covered.NAME` (before minus after) for every sensor that is known before and after."""
     for name in [name for name in facts if f"next.{name}" in facts]:
-        facts[f"covered.{name}"] = facts[name] - facts[f"next.{name}"]
+        if facts[name].shape == facts[f"next.{name}"].shape:
+            facts[f"covered.{name}"] = facts[name] - facts[f"next.{name}"]
     return facts
 
 
@@ -145,11 +149,21 @@ class Codebook:
         """Columns of an input row."""
         return sum(self._channels[name].width for name in self.inputs)
 
+    @property
+    def output_width(self) -> int:
+        """Columns of a target row."""
+        return sum(self._channels[name].width for name in self.outputs)
+
+    def column(self, output: str) -> int:
+        """Return the first column of an output in a target row."""
+        before = self.outputs[: self.outputs.index(output)]
+        return sum(self._channels[name].width for name in before)
+
     def misfit(self, sizes: Sequence[int]) -> str | None:
         """Return why a network of these layers does not fit these rows; None when it does."""
-        if (sizes[0], sizes[-1]) == (self.width, len(self.outputs)):
+        if (sizes[0], sizes[-1]) == (self.width, self.output_width):
             return None
-        return f"layers {list(sizes)}; expected {self.width} numbers in and {len(self.outputs)} out"
+        return f"layers {list(sizes)}; expected {self.width} numbers in and {self.output_width} out"
 
     def input_rows(self, facts: Facts) -> Floats | None:
         """Return (n, width), or None when a variable is not among the facts or is no value of its channel."""
@@ -161,11 +175,13 @@ class Codebook:
         return None if rows is None else np.clip(rows, -1.0, 1.0)
 
     def _rows(self, names: tuple[str, ...], facts: Facts) -> Floats | None:
-        read = [(self._channels[name], facts.get(self._channels[name].of or name)) for name in names]
+        read = [(self._channels[name], facts.get(name)) for name in names]
         if any(values is None or not channel.has(values) for channel, values in read):
             return None
         return np.concatenate([channel.encode(values) for channel, values in read if values is not None], axis=1)
 
     def predicted(self, outputs: Floats) -> Facts:
-        """Return predicted outputs (n, outputs) as facts, in the variables' own units."""
-        return {name: self._channels[name].decode(outputs[:, i]) for i, name in enumerate(self.outputs)}
+        """Return predicted outputs (n, output_width) as facts, in the variables' own units."""
+        ends = np.cumsum([self._channels[name].width for name in self.outputs])
+        columns = np.split(outputs, ends[:-1], axis=1)
+        return {name: self._channels[name].decode(part) for name, part in zip(self.outputs, columns, strict=True)}

@@ -12,18 +12,39 @@ from __future__ import annotations
 
 import abc
 import math
+from collections import deque
+from collections.abc import Mapping
 from types import TracebackType
-from typing import Literal, Self
+from typing import Annotated, Any, Literal, Self
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
+from mdb_protocol.messages import Drawing
+from mdb_sim.bodies.pioneer.drawing import draw
 from mdb_sim.bodies.pioneer.perceive import perceive
 from mdb_sim.bodies.pioneer.sonar import BODY_CENTRE_X_M, Array, SonarRing
-from mdb_sim.body import Event, Placement, Pose, Reading, RobotConfig, RobotError, Step
+from mdb_sim.bodies.pioneer.world import (
+    Changes,
+    PioneerConfig,
+    Placement,
+    Pose,
+    changed,
+    config_of,
+    placement_of,
+    scene_of,
+    spec_of,
+)
+from mdb_sim.body import NOTHING, BodyError, Numbers, Outcome, Reading, Resting, Spec, check
 
 BODY_RADIUS_M = 0.22
 """Radius of the circle about the body's centre that touches things (sim/README.md, "The Pioneer 2 DX")."""
 
+NEAR_WALL_M = 0.5, 1.2
+"""How far from a wall an episode begins there, from the centre of rotation (ours)."""
+TRAIL = 256
+"""Places that are remembered of the robot's way in an episode, to be drawn."""
 REACH_MARGIN_M = 0.02
 """How much farther than asked for a motion may carry the body, amply (ours)."""
 
@@ -57,7 +78,7 @@ def surface_distance_m(placement: Placement, object_radius_m: float) -> float:
     return math.hypot(placement.object_x_m - robot.x_m, placement.object_y_m - robot.y_m) - object_radius_m
 
 
-def is_captured(placement: Placement, config: RobotConfig) -> bool:
+def is_captured(placement: Placement, config: PioneerConfig) -> bool:
     """The object is near and in front: "reach the object frontally" (paper, section 3).
 
     Near is counted from the centre of rotation to the object's surface, as a new placement's distance is.
@@ -75,7 +96,7 @@ def body_centre_m(pose: Pose) -> tuple[float, float]:
     )
 
 
-def clearance_m(placement: Placement, config: RobotConfig) -> float:
+def clearance_m(placement: Placement, config: PioneerConfig) -> float:
     """How far the body's circle is from the nearest thing, object or wall; 0 or less when it touches."""
     x_m, y_m = body_centre_m(placement.robot)
     object_m = math.hypot(placement.object_x_m - x_m, placement.object_y_m - y_m) - config.object_radius_m
@@ -83,26 +104,58 @@ def clearance_m(placement: Placement, config: RobotConfig) -> float:
     return min(object_m, wall_m) - BODY_RADIUS_M
 
 
-def draw_placement(config: RobotConfig, seed: int, episode: int) -> Placement:
+def draw_placement(config: PioneerConfig, seed: int, episode: int) -> Placement:
     """Robot in the central point with any heading, the object in an area around it (paper, section 3)."""
     rng = stream(seed, "placement", episode)
+    if config.start == "wall":
+        return _beside_a_wall(config, rng)
     heading_rad, direction_rad = rng.uniform(-math.pi, math.pi, size=2).tolist()
     distance_m = config.object_radius_m + float(rng.uniform(config.place_min_m, config.place_max_m))
     robot = Pose(0.0, 0.0, heading_rad)
     return Placement(robot, distance_m * math.cos(direction_rad), distance_m * math.sin(direction_rad))
 
 
-class ArenaRobot(abc.ABC):
-    """A `mdb_sim.body.Robot` but for its motion: a body fills in `_place`, `_move`, `_pose` and `cast`."""
+def _beside_a_wall(config: PioneerConfig, rng: np.random.Generator) -> Placement:
+    """Robot near one of the walls with any heading, the object in the middle of the arena (ours)."""
+    along_m, from_wall_m = rng.uniform(-0.3, 0.3) * config.arena_m, rng.uniform(*NEAR_WALL_M)
+    away_m, turns = config.arena_m / 2.0 - from_wall_m, int(rng.integers(4))
+    x_m, y_m = ((away_m, along_m), (along_m, away_m), (-away_m, along_m), (along_m, -away_m))[turns]
+    return Placement(Pose(float(x_m), float(y_m), float(rng.uniform(-math.pi, math.pi))), 0.0, 0.0)
 
-    def __init__(self, config: RobotConfig) -> None:
-        self.config = config
-        self.ring = SonarRing(config)
-        self._turns_rad = config.turns_rad
+
+class _State(msgspec.Struct, frozen=True):
+    """All from which a body goes on."""
+
+    seed: int
+    acts: Annotated[int, Meta(ge=0)]
+    unseen: Annotated[int, Meta(ge=0)]
+    scene: Numbers
+    changes: Changes
+
+
+class ArenaRobot(Resting, abc.ABC):
+    """A `mdb_sim.body.Body` but for its motion: a body fills in `_place`, `_move`, `_pose` and `cast`."""
+
+    def __init__(self, **options: Any) -> None:
+        """Take the options of `[robot.options]`; BodyError when they are wrong."""
+        self.config = config_of(options)
+        self.ring = SonarRing(self.config)
+        self.changes = Changes()
         self._seed: int | None = None
         self._closed = False
         self._object_m = (0.0, 0.0)
-        self._iteration = self._episode = self._captures = self._episode_age = self._unseen = self._senses = 0
+        self._acts = self._unseen = self._senses = 0
+        self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL)
+
+    @classmethod
+    def spec_of(cls, **options: Any) -> Spec:
+        """Return what such a body has, without making one."""
+        return spec_of(config_of(options))
+
+    @property
+    def spec(self) -> Spec:
+        """See `Body.spec`."""
+        return spec_of(self.config)
 
     @abc.abstractmethod
     def _place(self, placement: Placement) -> None:
@@ -121,67 +174,90 @@ class ArenaRobot(abc.ABC):
         """See `sonar.RayCaster`."""
 
     @property
-    def actions(self) -> int:
-        """How many actions there are."""
-        return len(self._turns_rad)
-
-    @property
     def placement(self) -> Placement:
         """Where robot and object are now."""
         self._begun()
         return Placement(self._pose(), *self._object_m)
 
-    def reset(self, seed: int) -> Step:
-        """Start anew with the first placement of this seed."""
-        self.restore(draw_placement(self.config, _checked_seed(seed), 0), 0, seed=seed)
-        placement = self.placement
-        reading = self._read("placed", 0)
-        return Step(0, "none", placement, reading, placement, reading, 0, 0)
+    def scene(self) -> Numbers:
+        """See `Body.scene`."""
+        return scene_of(self.placement)
 
-    def restore(
-        self,
-        placement: Placement,
-        iteration: int,
-        *,
-        seed: int,
-        episode: int = 0,
-        captures: int = 0,
-        episode_age: int = 0,
-        unseen: int = 0,
-    ) -> None:
-        """Continue a run where a step left it; see `Robot.restore`."""
-        counts = (iteration, episode, captures, episode_age, unseen)
-        if min(counts) < 0:
-            raise RobotError(f"restore got a negative count among {counts}; give the counts of a Step")
+    def draw(self, reading: Reading) -> Drawing:
+        """See `Drawable.draw`."""
+        placement = self.placement
+        hull = body_centre_m(placement.robot), BODY_RADIUS_M
+        return draw(placement, self._trail, reading, self.config, hull)
+
+    def reset(self, seed: int, episode: int) -> Reading:
+        """See `Body.reset`: each episode has a placement of its own."""
+        self._open()
+        self._seed = _checked_seed(seed)
+        if episode < 0:
+            raise BodyError(f"episode={episode}; expected 0 or more")
+        if episode == 0:
+            self._acts = 0
+        self._unseen = 0
+        self._put(draw_placement(self.config, seed, episode))
+        return self._read("placed", 0)
+
+    def put(self, placement: Placement, seed: int, acts: int = 0) -> None:
+        """Go on from a placement after so many actions of a run: for measurements."""
         self._open()
         self._check_place(placement)
-        self._seed = _checked_seed(seed)
-        self._iteration, self._episode, self._captures, self._episode_age, self._unseen = counts
+        if acts < 0:
+            raise BodyError(f"acts={acts}; expected 0 or more")
+        self._seed, self._acts, self._unseen = _checked_seed(seed), acts, 0
         self._put(placement)
 
+    def state(self) -> bytes | None:
+        """See `Body.state`."""
+        return msgspec.msgpack.encode(_State(self._begun(), self._acts, self._unseen, self.scene(), self.changes))
+
+    def restore(self, state: bytes) -> None:
+        """See `Body.restore`."""
+        try:
+            found = msgspec.msgpack.decode(state, type=_State)
+            placement = placement_of(found.scene)
+        except (msgspec.ValidationError, msgspec.DecodeError, KeyError) as error:
+            raise BodyError(f"no state of a Pioneer: {error}; expected what `state` gave") from error
+        self.put(placement, found.seed, found.acts)
+        self.changes, self._unseen = found.changes, found.unseen
+
+    def change(self, **settings: Any) -> None:
+        """See `Changeable.change`; the settings are those of `Changes`."""
+        made = changed(self.changes, settings)
+        x_m, y_m = made.object_x_m, made.object_y_m
+        if (x_m, y_m) != (None, None):
+            here = self.placement
+            moved = Placement(
+                here.robot,
+                here.object_x_m if x_m is None else x_m,
+                here.object_y_m if y_m is None else y_m,
+            )
+            self._check_place(moved)
+            self._put(moved)
+        self.changes = msgspec.structs.replace(made, object_x_m=None, object_y_m=None)
+
     def sense(self) -> Reading:
-        """A fresh reading: other noise each time, and no later step changes by it."""
+        """Take a fresh reading: other noise each time, and no later action changes by it."""
         self._senses += 1
         return self._read("sense", self._senses)
 
-    def act(self, action: int) -> Step:
-        """One iteration: turn, advance, sense, and a new placement when the episode is over."""
-        self._check_action(action)
+    def act(self, values: Mapping[str, float]) -> Outcome:
+        """Turn, advance, sense."""
+        check(self.spec, values)
         self._begun()
-        bumped = self._move(self._turns_rad[action], self.config.advance_m)
-        self._iteration += 1
-        self._episode_age += 1
+        turn_rad = math.radians(values["turn"])
+        turn_rad *= -self.changes.turn_share if self.changes.swapped else self.changes.turn_share
+        bumped = self._move(turn_rad, self.config.advance_m)
+        self._acts += 1
         self._senses = 0
-        reached = self.placement
+        pose = self._pose()
+        self._trail.append((pose.x_m, pose.y_m))
         reading = self._read("reached", 0)
         self._unseen = 0 if reading else self._unseen + 1
-        event = self._event(reached, bumped)
-        self._captures += event == "capture"
-        now, next_reading = (reached, reading) if event == "none" else self._place_anew()
-        return Step(
-            self._iteration, event, reached, reading, now, next_reading,
-            self._captures, self._episode, self._episode_age, self._unseen,
-        )  # fmt: skip
+        return Outcome(self._event(bumped), reading)
 
     def clean_ranges_m(self) -> Array:
         """The (16,) ranges without noise or dropped echoes where the robot stands; nan without echo."""
@@ -208,56 +284,44 @@ class ArenaRobot(abc.ABC):
         wall_m = self.config.arena_m / 2.0 - max(abs(start.x_m), abs(start.y_m))
         return object_m <= reach_m + self.config.object_radius_m or wall_m <= reach_m
 
-    def _event(self, reached: Placement, bumped: bool) -> Event:
-        """What ended the episode, if anything did. Touching the object frontally is reaching it."""
-        if is_captured(reached, self.config):
+    def _event(self, bumped: bool) -> str:
+        """What happened, if anything did. Touching the object frontally is reaching it."""
+        if is_captured(self.placement, self.config):
             return "capture"
         if bumped:
             return "bump"
-        if self._unseen >= self.config.lost_readings:
-            return "lost"
-        return "timeout" if self._episode_age >= self.config.episode_iterations else "none"
-
-    def _place_anew(self) -> tuple[Placement, Reading]:
-        self._episode += 1
-        self._episode_age = self._unseen = 0
-        self._put(draw_placement(self.config, self._begun(), self._episode))
-        return self.placement, self._read("placed", 0)
+        return "lost" if self._unseen >= self.config.lost_readings else NOTHING
 
     def _put(self, placement: Placement) -> None:
         self._object_m = (placement.object_x_m, placement.object_y_m)
         self._senses = 0
+        self._trail.clear()
+        self._trail.append((placement.robot.x_m, placement.robot.y_m))
         self._place(placement)
 
     def _read(self, purpose: Purpose, repeat: int) -> Reading:
-        rng = stream(self._begun(), purpose, self._iteration, repeat)
-        return perceive(self.ring.ranges_m(self._pose(), self.cast, rng), self.config)
+        rng = stream(self._begun(), purpose, self._acts, repeat)
+        ranges_m = self.ring.ranges_m(self._pose(), self.cast, rng)
+        ranges_m[list(self.changes.blind)] = np.nan
+        return perceive(ranges_m, self.config)
 
     def _begun(self) -> int:
         """The run's seed; an error when there is no run yet."""
         self._open()
         if self._seed is None:
-            raise RobotError("the robot has no placement yet; call reset(seed) or restore(...) first")
+            raise BodyError("the robot has no placement yet; call reset(seed, 0) or restore(state) first")
         return self._seed
 
     def _open(self) -> None:
         if self._closed:
-            raise RobotError("the robot is closed; make another one with make_robot(body, config)")
-
-    def _check_action(self, action: int) -> None:
-        whole = isinstance(action, int | np.integer) and not isinstance(action, bool)
-        if not whole or not 0 <= action < self.actions:
-            raise RobotError(
-                f"action={action!r} is not an action; expected an int from 0 to {self.actions - 1}"
-                " (an index into turns_deg)"
-            )
+            raise BodyError("the robot is closed; make another one")
 
     def _check_place(self, placement: Placement) -> None:
         half_m = self.config.arena_m / 2.0
         robot = placement.robot
         places = (robot.x_m, robot.y_m, placement.object_x_m, placement.object_y_m)
         if not all(abs(value) <= half_m for value in places) or not math.isfinite(robot.heading_rad):
-            raise RobotError(
+            raise BodyError(
                 f"{placement} is not inside the arena; expected coordinates within ±{half_m} m and a finite"
                 " heading; restore with the arena_m the run was begun with"
             )
@@ -265,5 +329,5 @@ class ArenaRobot(abc.ABC):
 
 def _checked_seed(seed: int) -> int:
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64:
-        raise RobotError(f"seed={seed!r} is not a seed; expected an int from 0 to 2**64 - 1")
+        raise BodyError(f"seed={seed!r} is not a seed; expected an int from 0 to 2**64 - 1")
     return seed

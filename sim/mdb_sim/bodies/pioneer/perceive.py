@@ -11,11 +11,14 @@ section 3).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from mdb_sim.bodies.pioneer.sonar import TRANSDUCERS, Array
-from mdb_sim.body import Reading, RobotConfig
+from mdb_sim.bodies.pioneer.world import PioneerConfig
+from mdb_sim.body import Reading
 
 SAME_OBJECT_M = 0.25
 """Neighbouring echoes whose distances differ by less than this are taken to come from one object (ours)."""
@@ -33,7 +36,7 @@ _PLACES = [(float(x), float(y)) for x, y, _ in TRANSDUCERS]
 _AXES = [(math.cos(heading), math.sin(heading)) for *_, heading in TRANSDUCERS]
 
 
-def perceive(ranges_m: Array, config: RobotConfig) -> Reading:
+def perceive(ranges_m: Array, config: PioneerConfig) -> Reading:
     """The nearest echo cluster in the robot's frame, or an empty reading when there is none.
 
     ranges_m: (16,) in the ring's order, nan without echo. Echoes farther than `attention_m` from the centre
@@ -52,12 +55,13 @@ def fold(distance_m: float, phi_rad: float) -> Reading:
     }
 
 
-def unfold(reading: Reading) -> float:
+def unfold(reading: Mapping[str, Any]) -> float:
     """The raw angle phi in radians that a non-empty reading stands for."""
-    return math.pi - reading["angle"] if reading["continuity"] > 0.5 else reading["angle"]
+    angle_rad = float(reading["angle"])
+    return math.pi - angle_rad if reading["continuity"] > 0.5 else angle_rad
 
 
-def locate(ranges_m: Array, config: RobotConfig) -> tuple[float, float] | None:
+def locate(ranges_m: Array, config: PioneerConfig) -> tuple[float, float] | None:
     """Distance in metres and raw angle in radians of the nearest cluster's surface, None without any echo."""
     echoes = _echo_points(ranges_m, config.attention_m)
     if not echoes:
@@ -107,7 +111,7 @@ def _centre(points: list[tuple[float, float]]) -> tuple[float, float]:
 
 
 def _likeliest(
-    ranges_m: Array, members: list[int], guess: tuple[float, float], config: RobotConfig
+    ranges_m: Array, members: list[int], guess: tuple[float, float], config: PioneerConfig
 ) -> tuple[float, float]:
     """The likeliest distance and bearing near a first guess, from who heard what and who was silent.
 
@@ -134,7 +138,7 @@ def _likeliest(
 
 
 def _expected_ranges_m(
-    bearings: Array, distance_m: float, config: RobotConfig
+    bearings: Array, distance_m: float, config: PioneerConfig
 ) -> tuple[Array, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
     """What each transducer would read, (n, 16), and whether it would hear anything, for n candidate bearings.
 

@@ -12,16 +12,17 @@ import os
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pybullet
 
 from mdb_sim.bodies.pioneer.arena import BODY_RADIUS_M, ArenaRobot
 from mdb_sim.bodies.pioneer.sonar import BODY_CENTRE_X_M, SONAR_HEIGHT_M, Array
-from mdb_sim.body import Placement, Pose, RobotConfig, RobotError
+from mdb_sim.bodies.pioneer.world import TRACK_M, Placement, Pose
+from mdb_sim.body import BodyError
 
 WHEEL_RADIUS_M = 0.0825
-TRACK_M = 0.3206
 MASS_KG = 9.0
 """See sim/README.md, "The Pioneer 2 DX"."""
 
@@ -101,16 +102,19 @@ def _joint(child: str, kind: str, place_m: tuple[float, float, float]) -> str:
 
 
 class PioneerRobot(ArenaRobot):
-    """See `mdb_sim.body.Robot`; `gui=True` opens PyBullet's window."""
+    """See `mdb_sim.body.Body`; `gui=True` opens PyBullet's window."""
 
-    def __init__(self, config: RobotConfig, *, gui: bool = False) -> None:
-        super().__init__(config)
+    has_window = True
+
+    def __init__(self, *, gui: bool = False, **options: Any) -> None:
+        super().__init__(**options)
+        config = self.config
         if gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
             # Asked for a window without one, pybullet ends the whole process.
-            raise RobotError("gui=True needs a display, and DISPLAY is not set; set it or drop the gui option")
+            raise BodyError("gui=True needs a display, and DISPLAY is not set; set it or drop the gui option")
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         if self._client < 0:
-            raise RobotError(f"pybullet gave no physics client (gui={gui}); a process can hold one window only")
+            raise BodyError(f"pybullet gave no physics client (gui={gui}); a process can hold one window only")
         self._step_s = 1.0 / config.physics_hz
         self._near = True
         self._build_world()
@@ -267,11 +271,16 @@ class PioneerRobot(ArenaRobot):
         return min(max(wanted_m_s, last_m_s - change_m_s), last_m_s + change_m_s)
 
     def _wheels_m(self) -> tuple[float, float]:
-        """How far the encoders say the left and the right wheel have rolled since the motion began."""
+        """How far the encoders say the left and the right wheel have rolled since the motion began.
+
+        A wheel that rolls a share of what it is told does not know of it.
+        """
         left, right = pybullet.getJointStates(self._robot, (_LEFT, _RIGHT), physicsClientId=self._client)
-        return WHEEL_RADIUS_M * left[0], WHEEL_RADIUS_M * right[0]
+        changes = self.changes
+        return WHEEL_RADIUS_M * left[0] / changes.left_wheel, WHEEL_RADIUS_M * right[0] / changes.right_wheel
 
     def _drive(self, left_m_s: float, right_m_s: float) -> None:
+        left_m_s, right_m_s = left_m_s * self.changes.left_wheel, right_m_s * self.changes.right_wheel
         pybullet.setJointMotorControlArray(
             self._robot,
             (_LEFT, _RIGHT),

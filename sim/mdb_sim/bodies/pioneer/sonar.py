@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_sim.body import Pose, RobotConfig
+from mdb_sim.bodies.pioneer.world import PioneerConfig, Pose
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class RayCaster(Protocol):
 class SonarRing:
     """Turns ray hits into the 16 ranges that the robot reads."""
 
-    def __init__(self, config: RobotConfig) -> None:
+    def __init__(self, config: PioneerConfig) -> None:
         self._config = config
         self._cos_specular = math.cos(math.radians(config.sonar_specular_deg))
         half_cone = math.radians(config.sonar_half_cone_deg)

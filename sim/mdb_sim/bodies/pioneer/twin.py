@@ -7,12 +7,13 @@ Keeps the same contract, sonar rules and episodes as the PyBullet body; must not
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from mdb_sim.bodies.pioneer.arena import BODY_RADIUS_M, ArenaRobot, wrap_rad
 from mdb_sim.bodies.pioneer.sonar import BODY_CENTRE_X_M, Array
-from mdb_sim.body import Placement, Pose, RobotConfig
+from mdb_sim.bodies.pioneer.world import TRACK_M, Placement, Pose
 
 CONTACT_STEP_RAD = math.radians(1.0)
 CONTACT_STEP_M = 0.002
@@ -20,12 +21,12 @@ CONTACT_STEP_M = 0.002
 
 
 class KinematicRobot(ArenaRobot):
-    """See `mdb_sim.body.Robot`."""
+    """See `mdb_sim.body.Body`."""
 
-    def __init__(self, config: RobotConfig) -> None:
-        super().__init__(config)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
         self._at = Pose(0.0, 0.0, 0.0)
-        self._half_m = config.arena_m / 2.0
+        self._half_m = self.config.arena_m / 2.0
 
     def _place(self, placement: Placement) -> None:
         self._at = placement.robot
@@ -34,6 +35,8 @@ class KinematicRobot(ArenaRobot):
         return self._at
 
     def _move(self, turn_rad: float, advance_m: float) -> bool:
+        if (self.changes.left_wheel, self.changes.right_wheel) != (1.0, 1.0):
+            return self._roll(turn_rad, advance_m)
         start = self._at
         end_rad = start.heading_rad + turn_rad
         end_x_m = start.x_m + advance_m * math.cos(end_rad)
@@ -50,6 +53,19 @@ class KinematicRobot(ArenaRobot):
         x_m, y_m, heading_rad = path[max(int(touching.argmax()) - 1, 0)].tolist()
         self._at = Pose(x_m, y_m, wrap_rad(heading_rad))
         return True
+
+    def _roll(self, turn_rad: float, advance_m: float) -> bool:
+        """Move by what the wheels roll, each its share of what it is told: two arcs."""
+        left, right = self.changes.left_wheel, self.changes.right_wheel
+        aside_m = turn_rad * TRACK_M / 2.0
+        path = np.array([[self._at.x_m, self._at.y_m, self._at.heading_rad]])
+        for left_m, right_m in ((-left * aside_m, right * aside_m), (left * advance_m, right * advance_m)):
+            path = np.concatenate([path, _arc(path[-1], left_m, right_m)])
+        touching = self._touching(path)
+        place = max(int(touching.argmax()) - 1, 0) if touching.any() else len(path) - 1
+        x_m, y_m, heading_rad = path[place].tolist()
+        self._at = Pose(x_m, y_m, wrap_rad(heading_rad))
+        return bool(touching.any())
 
     def _path(self, start: Pose, turn_rad: float, advance_m: float) -> Array:
         """The motion as poses (n, 3) of x_m, y_m, heading_rad, start and end included."""
@@ -100,3 +116,14 @@ class KinematicRobot(ArenaRobot):
         half_chord_m = np.sqrt(np.maximum(half_chord_sq, 0.0))
         hit = (half_chord_sq > 0.0) & (foot_m > half_chord_m)
         return np.where(hit, foot_m - half_chord_m, np.inf), half_chord_m / radius_m
+
+
+def _arc(start: Array, left_m: float, right_m: float) -> Array:
+    """Return the poses (n, 3) of x_m, y_m, heading_rad while the wheels roll so far, the start not included."""
+    turn_rad, forward_m = (right_m - left_m) / TRACK_M, (left_m + right_m) / 2.0
+    count = max(1, math.ceil(abs(turn_rad) / CONTACT_STEP_RAD), math.ceil(abs(forward_m) / CONTACT_STEP_M))
+    headings = start[2] + turn_rad * np.arange(1, count + 1) / count
+    middles = headings - turn_rad / count / 2.0
+    x_m = start[0] + np.cumsum(np.cos(middles)) * forward_m / count
+    y_m = start[1] + np.cumsum(np.sin(middles)) * forward_m / count
+    return np.stack([x_m, y_m, headings], axis=1)

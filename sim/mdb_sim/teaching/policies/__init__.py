@@ -1,0 +1,1 @@
+"""What teachers want: one file for the machines of a kind."""
