@@ -413,3 +413,23 @@ def test_a_study_that_is_ended_takes_its_workers_with_it_and_leaves_no_run_folde
     assert alive == []
     assert list(temporary.glob("mdb-study-*")) == []
     assert len(list((tmp_path / "out").glob("*/*/*.parquet"))) < 12
+
+
+def test_a_body_that_changes_is_studied_in_windows_taught_and_alone_with_learning_and_without() -> None:
+    base = tables.overrides_of(STUDIES["readapt"])
+    variants = tables.VARIANTS["readapt"](Experiment.read(PAPER, base))
+    assert len(variants) == 24
+    made = {variant.name: Experiment.read(PAPER, (*base, *variant.overrides)) for variant in variants}
+    stopped, taught = made[f"half turns, alone, {tables.STOPPED}"], made["half turns, taught"]
+    assert stopped.robot.changes == taught.robot.changes == {600: {"turn_share": 0.5}}
+    assert stopped.teacher is not None
+    assert taught.teacher is not None
+    assert [(p.start, p.teacher) for p in stopped.teacher.phase] == [
+        (0, "one"),
+        (500, None),
+        (600, None),
+        (750, None),
+    ]
+    assert {p.teacher for p in taught.teacher.phase} == {"one"}
+    assert (stopped.brain.store.learns_until, taught.brain.store.learns_until) == (600, None)
+    stopped.check_machine()

@@ -334,3 +334,27 @@ def test_a_change_empties_the_old_context_no_slower_than_first_in_first_out(forg
         assert relevant[3] == 0
     blind = told(RELEVANCE, ContextConfig(enabled=False)).left
     assert blind[CAPACITY - 1] > 0, "without noticing the change, relevance would keep the old context longer"
+
+
+SETTLED = [0.001] * 200
+"""Small errors, long enough that it is known what is usual."""
+
+
+def test_small_errors_that_have_risen_and_stay_so_are_a_change_where_that_is_looked_for() -> None:
+    risen = [*SETTLED, *([0.03] * 30)]
+    assert fed(risen)[1] == [], "they are far below what is odd"
+    detector, changes = fed(risen, ContextConfig(rise=10.0))
+    assert len(changes) == 1
+    assert 205 <= changes[0] <= 215
+    assert detector.first == 201, "the context began with the first of them"
+
+
+def test_a_few_large_errors_or_a_small_rise_are_no_lasting_rise() -> None:
+    config = ContextConfig(rise=10.0, margin=0.9)
+    assert fed([*SETTLED, *([0.9, 0.001, 0.001, 0.001] * 50)], config)[1] == []
+    assert fed([*SETTLED, *([0.003] * 300)], config)[1] == []
+
+
+def test_a_rise_that_one_pair_could_be_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"rise is 2\.0"):
+        ContextConfig(rise=2.0)

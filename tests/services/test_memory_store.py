@@ -4,6 +4,7 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -461,3 +462,18 @@ def test_an_optimizer_that_begins_is_told_the_newest_pairs_with_feedback_and_wit
     newest = range(count - 4 - LATELY, count)
     assert [(p.iteration, p.feedback) for p in progress.judged] == [(i, said[i]) for i in newest if i in said]
     assert [p.iteration for p in progress.unjudged] == [i for i in newest[-4:] if i not in said]
+
+
+def test_from_an_iteration_on_pairs_are_stored_and_nothing_is_learnt_of_them(make_rig: MakeRig) -> None:
+    settings = config()
+    until = msgspec.structs.replace(settings.store, learns_until=2)
+    rig = make_rig(msgspec.structs.replace(settings, store=until))
+    rig.give(pair(0), pair(1), pair(2), pair(3))
+    assert on_disk(rig.path) == [0, 1, 2, 3]
+    answers = taken(rig.stored)
+    assert [answer.iteration for answer in answers] == [0, 1, 2, 3]
+    assert [answer.versions["object"] for answer in answers] == [1, 2, 2, 2]
+    assert rig.snapshots()["object"]["pairs"] == [0, 1]
+    rig.restart()
+    rig.give(pair(4))
+    assert rig.snapshots()["object"]["pairs"] == [0, 1]

@@ -14,6 +14,7 @@ from mdb_sim.bodies.pioneer.arena import (
     stream,
     surface_distance_m,
 )
+from mdb_sim.bodies.pioneer.twin import KinematicRobot
 from mdb_sim.bodies.pioneer.world import PioneerConfig, Placement, Pose, placement_of, scene_of
 
 CONFIG = PioneerConfig()
@@ -92,3 +93,15 @@ def test_a_scene_stands_for_its_placement(seed, episode):
     placement = draw_placement(CONFIG, seed, episode)
     assert placement_of(scene_of(placement)) == placement
     assert placement_of(scene_of(placement) | {"reward": 1.0}) == placement
+
+
+def test_what_an_action_would_lead_to_is_what_it_leads_to_and_looking_changes_nothing():
+    with KinematicRobot() as robot:
+        for changes in ({}, {"swapped": True}, {"turn_share": 0.5}, {"left_wheel": 0.5}):
+            robot.reset(5, 0)
+            robot.change(**changes)
+            before = robot.state()
+            foreseen, event = robot.foresee({"turn": 45.0})
+            assert robot.state() == before
+            assert robot.act({"turn": 45.0}).event == event
+            assert robot.scene() == foreseen

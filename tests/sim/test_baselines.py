@@ -121,3 +121,21 @@ def test_what_was_induced_generalises_over_the_angle() -> None:
             induced.learn(reading, action, 1.0 - 2.0 * abs(angle - turn))
     assert [induced.act({"distance": 1.1, "angle": a, "continuity": 0.0}) for a in (-0.73, 0.03, 0.61)] == [1, 0, 2]
     assert Induced(turns).act({"distance": 1.0, "angle": 0.0, "continuity": 0.0}) is None
+
+
+def test_the_ideal_of_a_changed_body_is_that_of_the_body_as_it_then_is(tmp_path: Path) -> None:
+    record = played("random", tmp_path / "run")
+    window = 400, 650
+
+    def ideal_of(settings: dict[str, object], at: int) -> float:
+        content = record.experiment.content
+        robot = content["robot"] | {"change": [{"at": at, "set": settings}]}
+        changed = Experiment(content | {"robot": robot}, "test")
+        return ideal_successes(replace(record, experiment=changed), window)
+
+    unchanged = ideal_successes(record, window)
+    assert ideal_of({"turn_share": 0.5}, 651) == unchanged, "it changes later"
+    assert ideal_of({"swapped": True}, 300) == unchanged, "who knows of it does as well"
+    before, within = ideal_of({"left_wheel": 0.5}, 300), ideal_of({"left_wheel": 0.5}, 525)
+    assert 0 < before < within < unchanged
+    assert ideal_of({"left_wheel": 0.5, "object_x_m": 3.0}, 300) == before, "where the object is the scene tells"

@@ -1,6 +1,7 @@
 """The report is made from results alone, says what is missing, and tells no number that was not measured."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from mdb_sim.report.sections import SECTIONS
 from mdb_sim.studies import tables
 from mdb_sim.studies.catalogue import REPORTED, STUDIES
 from mdb_sim.studies.results import Result
+from mdb_sim.studies.rows import PhaseRow
 from mdb_sim.verdicts.aims import aims_table
 from tests.sim.phases import label, phase, results, run
 
@@ -187,3 +189,21 @@ def test_files_that_the_statements_name_are_there() -> None:
     assert len(named) > 15
     for path in named:
         assert (ROOT / path).exists(), path
+
+
+def test_a_body_that_changes_is_shown_window_by_window_with_the_worst_seed(tmp_path: Path) -> None:
+    names = ("first teacher", "before", "at", "after")
+
+    def rows(seed: int, after: float) -> tuple[PhaseRow, ...]:
+        return tuple(replace(row, name=name) for row, name in zip(run(seed, captures={3: after}), names, strict=True))
+
+    variants = "half turns, alone", f"half turns, alone, {tables.STOPPED}"
+    found = [
+        Result(label("readapt", variant, seed, order), rows(seed, 60.0 if order else 118.0 - seed))
+        for order, variant in enumerate(variants)
+        for seed in (11, 12, 13)
+    ]
+    text, figures = document.one(STUDIES["readapt"], found, tmp_path)
+    assert "87.5 % (13)" in text
+    assert "50.0 % [50.0 %, 50.0 %]" in text
+    assert figures[0].stat().st_size > 5000

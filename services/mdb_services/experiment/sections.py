@@ -198,3 +198,5 @@ class StoreSection(Section, frozen=True, kw_only=True):
     """"process": what is acknowledged survives the death of every process; "power": also a loss of power."""
     when_full: Literal["stop", "act"] = "stop"
     """While pairs cannot be stored, the robot waits, or goes on acting and what it does is not learnt."""
+    learns_until: Annotated[int, Meta(ge=0)] | None = None
+    """From this iteration on pairs are stored and acknowledged, but enter no memory: nothing more is learnt."""

@@ -263,8 +263,13 @@ class MemoryStore:
     def _enter(
         self, pair: messages.Pair, unjudged: messages.Pair | None
     ) -> tuple[list[Effects], messages.PairStored]:
-        """Put a pair into the memories and on disk; `unjudged`: as it is there already, before its feedback came."""
-        memories = [m for m in self._memories.values() if unjudged is None or not m.reads(unjudged)]
+        """Put a pair into the memories, while anything is learnt, and on disk.
+
+        `unjudged`: as it is there already, before its feedback came.
+        """
+        until = self._config.store.learns_until
+        learnt = until is None or pair.iteration < until
+        memories = [m for m in self._memories.values() if learnt and (unjudged is None or not m.reads(unjudged))]
         entered = (memory.enter(pair, self._recalled_ids) for memory in memories)
         effects = [effect for effect in entered if effect is not None]
         versions = {name: memory.stm.version for name, memory in self._memories.items()}

@@ -6,7 +6,7 @@ Owns how they look; needs matplotlib, like `figures`, whose colours and bands it
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,10 @@ VARIANT_COLOURS = (BLUE, ORANGE, GREEN, MUTED)
 SIDE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8A4F7D")
 ERROR_TOP = 1.2
 """An error axis ends here at the latest."""
+STOPPED = "learning stopped"
+"""How a variant ends in which nothing is learnt from a change on (`tables.STOPPED`)."""
+RATE = 50
+"""Captures are counted over so many iterations."""
 ERRORS: tuple[tuple[str, Callable[[PhaseRow], Doubles]], ...] = (
     (
         f"Prequential: each pair foreseen before it was learnt (mean of {measures.AVERAGED})",
@@ -241,6 +245,49 @@ def _fill_seeds(runs: Runs, figure: Figure) -> None:
     panels[-1].set_xlabel("seed")
     panels[-1].locator_params(axis="x", integer=True)
     _title(figure, runs, "")
+
+
+def draw_readapt(runs: Runs, stem: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
+    """Draw captures round a change of the body, a panel for each change, taught or not; return the files."""
+    return save(stem, (10.0, 0.5 * len(runs) + 1.5), lambda figure: _fill_readapt(runs, figure), kinds)
+
+
+def _fill_readapt(runs: Runs, figure: Figure) -> None:
+    names = [variant for variant in runs if not variant.endswith(STOPPED)]
+    panels = figure.subplots(math.ceil(len(names) / 2), 2, sharex=True, sharey=True, squeeze=False)
+    for axes, name in zip(panels.flat, names, strict=False):
+        for variant, colour, label in ((name, BLUE, "learning"), (f"{name}, {STOPPED}", ORANGE, STOPPED)):
+            if variant in runs:
+                _draw_rate(axes, runs[variant], colour, label)
+        _draw_ideal_rate(axes, runs[name])
+        axes.set_title(name)
+    panels[0, 0].set_ylim(0, None)
+    for axes in panels[-1]:
+        axes.set_xlabel("Iteration")
+    for axes in panels[:, 0]:
+        axes.set_ylabel(f"captures in {RATE}")
+    _title(figure, runs, "")
+    _legend(figure, panels[0][0])
+
+
+def _draw_rate(axes: Axes, seeds: Mapping[int, Sequence[PhaseRow]], colour: str, label: str) -> None:
+    """Draw the captures of every `RATE` iterations in the phases after the first."""
+    rows = next(iter(seeds.values()))
+    start, counts = rows[1].start, (rows[-1].stop - rows[1].start) // RATE
+    rates = [np.diff(captured(of)[start::RATE][: counts + 1]) for of in seeds.values()]
+    mean, low, high = band(rates)
+    x = start + RATE * (np.arange(len(mean)) + 0.5)
+    axes.fill_between(x, low, high, color=colour, alpha=0.25, linewidth=0)
+    axes.plot(x, mean, color=colour, linewidth=1.7, label=label)
+
+
+def _draw_ideal_rate(axes: Axes, seeds: Mapping[int, Sequence[PhaseRow]]) -> None:
+    for row in next(iter(seeds.values()))[1:]:
+        ideal = np.mean([RATE * rows[row.phase].ideal_captures / (row.stop - row.start) for rows in seeds.values()])
+        label = "ideal of the body as it is" if row.phase == 1 else None
+        axes.plot([row.start, row.stop], [ideal] * 2, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), label=label)
+        if row.phase > 1:
+            axes.axvline(row.start, color=MUTED, linewidth=0.9, linestyle=":")
 
 
 def _title(figure: Figure, runs: Runs, text: str) -> None:

@@ -229,6 +229,33 @@ def ablation(section: Section) -> str:
     )
 
 
+SHOWN = ("before", "at", "after")
+"""The windows of `readapt` that are shown, by their phases' names."""
+
+
+def readapt(section: Section) -> str:
+    """Before, at and after a change of the body, as shares of what that body's ideal captures."""
+    runs = section.runs
+    shares = [quantity(runs, SHARE, row.phase, row.name) for row in phases_of(runs) if row.name in SHOWN]
+    head = ["variant", *(f"{share.name}, median [95 %]" for share in shares), "after, worst (seed)"]
+    rows = []
+    for variant in runs:
+        value, seed = shares[-1].worst(variant)
+        cells = [interval(share.estimate(variant, "median"), percent) for share in shares]
+        rows.append([variant, *cells, f"{text(value, percent)} ({seed})"])
+    return _paragraphs(
+        "Captures as a share of the ideal of the body as it then is. “Before”: the 100 iterations before the change, "
+        "“at”: the 150 from it on, “after”: the 150 that follow. The ideal foresees each choice on the changed body, "
+        "one action ahead.",
+        markdown(head, rows),
+        section.figure(
+            curves.draw_readapt(section.own, section.stem),
+            "A body that changes: captures in 50 iterations, mean of the seeds with its 95 % band; dashed: mean of "
+            "the changed body's ideals; the lines mark the change and 150 iterations after it.",
+        ),
+    )
+
+
 def _variants_figure(section: Section, caption: str) -> str:
     runs = section.runs
     quantities = figure_quantities(runs)
@@ -260,5 +287,6 @@ SECTIONS: dict[str, Callable[[Section], str]] = {
     "alone": alone,
     "ablation": ablation,
     "comings": memory,
+    "readapt": readapt,
 }
 """What is shown of each study, by its name."""

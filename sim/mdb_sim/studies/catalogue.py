@@ -37,6 +37,7 @@ STUDIES = {
     for study in (
         *REPORTED,
         Study("ablation", "as shipped against one ingredient less: table and figure", "11-20"),
+        Study("readapt", "a body that changes: before, at, after; learning on and off", "6101-6110"),
         Study("comings", "teachers A, B, A, B, A: how fast one who comes back is obeyed again", "11-20", True),
     )
 }

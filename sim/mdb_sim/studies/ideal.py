@@ -3,16 +3,21 @@
 Owns the bound that a phase's successes are judged by. The ideal policy sees the truth and always does what a teacher
 would ask for. The seed gives the same placement to the same episode, so robot and ideal meet the same objects one
 after the other; the better one meets more of them.
+
+A body that has changed is foreseen: the choice is taken whose motion the policy judges best, a success before all. It
+looks one action ahead: with half turns more can be captured (by 5 %, searched seven actions ahead on
+seed 77), with what else can be changed not more.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from mdb_protocol import messages
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
-from mdb_sim.bodies.pioneer.world import placement_of
+from mdb_sim.bodies.pioneer.world import Changes, placement_of
 from mdb_sim.body import Numbers
 from mdb_sim.robot.course import Course
 from mdb_sim.runs.experiment import Experiment
@@ -22,6 +27,9 @@ from mdb_sim.teaching.policy import Policy
 
 KNOWN_BODIES = ("kinematic", "pybullet")
 """Bodies whose ideal we can have. PyBullet's is that of its kinematic twin, which is cheap and moves alike."""
+
+ONCE = ("object_x_m", "object_y_m")
+"""Changes that are made once and do not stay."""
 
 Ideal = Callable[[Mapping[str, float]], Numbers]
 """The action that is wanted in a scene."""
@@ -44,6 +52,24 @@ def _best(policy: Policy, wanted: int, choices: list[Numbers]) -> Numbers:
     return max(choices, key=lambda values: policy.expected(wanted, values) or 0.0)
 
 
+def foreseeing_policy(experiment: Experiment, robot: KinematicRobot) -> Ideal:
+    """Return who takes the choice whose motion, of this body as it is now, the teacher would judge best."""
+    policy, rules = experiment.schedule().policy, experiment.robot.rules
+    choices = [choice.values for choice in experiment.brain.choice]
+
+    def act(scene: Mapping[str, float]) -> Numbers:
+        wanted = policy.want(scene)
+
+        def worth(values: Numbers) -> tuple[bool, float]:
+            after, event = robot.foresee(values)
+            judged = None if wanted is None else policy.judge(scene, after, event, wanted)
+            return event in rules.successes, judged or 0.0
+
+        return max(choices, key=worth)
+
+    return act
+
+
 def ideal_successes(record: RunRecord, window: Window) -> float:
     """Return the successes of the ideal policy in a window of a run, begun from that run's scene there.
 
@@ -55,7 +81,9 @@ def ideal_successes(record: RunRecord, window: Window) -> float:
     if not known or scene is None or record.iterations < stop:
         return math.nan
     with KinematicRobot(**experiment.robot.options) as robot:
-        course = Course(robot, experiment.robot.rules, record.seed)
+        changes = experiment.robot.changes
+        course = Course(robot, experiment.robot.rules, record.seed, changes)
+        robot.change(**_in_force(changes, start))
         robot.put(placement_of(scene.now), record.seed, start)
         course.go_on(
             messages.RobotState(
@@ -65,10 +93,19 @@ def ideal_successes(record: RunRecord, window: Window) -> float:
                 body=robot.state(),
             )
         )
-        act = ideal_policy(experiment)
+        plain, foreseeing = ideal_policy(experiment), foreseeing_policy(experiment, robot)
         for _ in range(stop - start):
+            act = plain if robot.changes == Changes() else foreseeing
             course.act(act(course.last.now))
         return float(course.last.successes - scene.successes)
+
+
+def _in_force(changes: Mapping[int, Mapping[str, Any]], start: int) -> dict[str, Any]:
+    """Return what stays changed of a body at an iteration; where the object was put, the scene tells."""
+    made: dict[str, Any] = {}
+    for _, settings in sorted((at, settings) for at, settings in changes.items() if at <= start):
+        made |= settings
+    return {name: value for name, value in made.items() if name not in ONCE}
 
 
 def _age(record: RunRecord, start: int) -> int:

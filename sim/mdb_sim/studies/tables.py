@@ -17,6 +17,7 @@ from mdb_services.mechanism.memories.stm import MemoryConfig
 from mdb_services.mechanism.settings import EvolutionConfig
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.studies.catalogue import ACCEPTANCE, PHASE, Study
+from mdb_sim.studies.ideal import KNOWN_BODIES
 
 AS_SHIPPED = "as shipped"
 PROMOTERS = "pbga"
@@ -299,6 +300,46 @@ def memory(experiment: Experiment) -> list[Variant]:
     return found
 
 
+CHANGED_AT = 600
+"""The iteration before whose action the body changes."""
+WINDOW = 150
+"""Iterations of the windows at and after a change."""
+BODY_CHANGES: tuple[tuple[str, dict[str, object]], ...] = (
+    ("no change", {}),
+    ("motors swapped", {"swapped": True}),
+    ("half turns", {"turn_share": 0.5}),
+    ("left wheel at half", {"left_wheel": 0.5}),
+    ("three sonars blind", {"blind": [2, 3, 4]}),
+    ("object moved once", {"object_x_m": 1.0, "object_y_m": 0.6}),
+)
+"""What changes of a Pioneer: settings of `[[robot.change]]`."""
+STOPPED = "learning stopped"
+
+
+def readapt(experiment: Experiment) -> list[Variant]:
+    """Each change of the body: alone and taught, learning on and stopped when the body changes."""
+    found = []
+    for name, settings in BODY_CHANGES:
+        applies = not settings or experiment.robot.body in KNOWN_BODIES
+        text = ", ".join(f"{key}={json.dumps(value)}" for key, value in settings.items())
+        change = (f"robot.change=[{{at={CHANGED_AT}, set={{{text}}}}}]",) if settings else ()
+        for who in ("alone", "taught"):
+            shown = (*windows(taught=who == "taught"), *change)
+            stopped = (*shown, f"store.learns_until={CHANGED_AT}")
+            found.append(Variant(f"{name}, {who}", shown, applies=applies))
+            found.append(Variant(f"{name}, {who}, {STOPPED}", stopped, applies=applies))
+    return found
+
+
+def windows(*, taught: bool) -> Overrides:
+    """Return a schedule whose phases are what is looked at: one teacher, who goes before, or stays."""
+    starts = {"before": CHANGED_AT - 100, "at": CHANGED_AT, "after": CHANGED_AT + WINDOW}
+    of = ', teacher="one"' if taught else ""
+    entries = ['{start=0, name="first teacher", teacher="one", language="random"}']
+    entries += [f'{{start={start}, name="{name}"{of}}}' for name, start in starts.items()]
+    return f"experiment.iterations={starts['after'] + WINDOW}", f"teacher.phase=[{', '.join(entries)}]"
+
+
 def as_shipped(experiment: Experiment) -> list[Variant]:
     """The experiment as it is."""
     del experiment
@@ -333,6 +374,7 @@ VARIANTS: dict[str, Variants] = {
     "alone": as_shipped,
     "ablation": ablation,
     "comings": comings,
+    "readapt": readapt,
     "acceptance": as_shipped,
 }
 """What each study compares; the first variant is what the others are compared with."""

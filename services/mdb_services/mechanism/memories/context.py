@@ -4,8 +4,12 @@ The mechanism's literature switches the short-term memory to its temporal settin
 back to relevance afterwards; how a change is noticed is ours: a cumulative sum of the errors beyond the usual
 one (Page, 1954), over errors that are cut off, so that one odd pair is not a change. A teacher who errs makes some
 pairs odd for ever: what counts as odd, and how much of it as a change, grows with the usual error.
+
+A second sum looks for small errors that have become many times what they were and stay so, as when the robot's own
+body has changed a little: it is over the logarithms, so that no single error says much, however large (ours).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +22,14 @@ CHANGED = 0.75
 """The mean error to be expected after a change, each error cut off: half way to it speaks for one in any case."""
 NOISE = 5.0
 """The threshold is so much higher, as a share of itself, for each unit of the usual error."""
+SMALL = 1e-3
+"""Errors that are smaller than this are alike."""
+RISEN = 1.0
+"""The logarithm of an error speaks for a rise by what it is above the usual one, and this."""
+MOST_RISEN = 3.0
+"""No error counts as further above or below the usual one: it is twenty times that, or a twentieth."""
+RISEN_PAIRS = 150
+"""Pairs until it is known which logarithm is usual."""
 USUAL_PAIRS = 80
 """Pairs in the running mean of a known context, which is to tell a teacher's errors from chance."""
 
@@ -40,6 +52,9 @@ class ContextConfig:
     threshold: float = 1.5
     """Sum of the evidence that means a change, where the usual error is 0: more than `cut_off`, hence more than one
     pair."""
+    rise: float | None = None
+    """Sum of the evidence that means a change where all errors have risen, each at most 2 (`MOST_RISEN`, `RISEN`).
+    None: that is not looked for."""
     forget: bool = True
     """Whether the pairs from before the change are dropped at once; otherwise they leave first in, first out."""
     recency: float = 1.0
@@ -51,6 +66,8 @@ class ContextConfig:
         for name in ("known_error", "cut_off", "margin", "threshold"):
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a positive number")
+        if self.rise is not None and not MOST_RISEN - RISEN < self.rise < np.inf:
+            raise ValueError(f"rise is {self.rise}; expected more than {MOST_RISEN - RISEN:g}: one pair is no change")
         if self.threshold <= self.cut_off:
             raise ValueError(
                 f"threshold is {self.threshold}; expected more than cut_off = {self.cut_off}: one pair is no change"
@@ -89,6 +106,11 @@ class ContextDetector:
         """The usual error before what may be a change: from then on it is of another context."""
         self.suspected: int | None = None
         """The version of the first pair of what may be another context; None while nothing speaks for a change."""
+        self._level = self._rise = 0.0
+        """The usual logarithm of the errors, and how much speaks for a rise above it ..."""
+        self._levelled = 0
+        self._risen_from = 0
+        """... since this version."""
 
     @property
     def settled(self) -> bool:
@@ -116,10 +138,26 @@ class ContextDetector:
                 # what was recalled a moment ago does not fit after all: the context began where that one did
                 self.begin(self.suspected if self.settled else self.first)
                 return True
+        if config.rise is not None and self._has_risen(error, version, config.rise):
+            self.begin(self._risen_from)
+            return True
         self._pairs, self._lasted = self._pairs + 1, self._lasted + 1
         window = max(USUAL_PAIRS, config.known_pairs) if self.known else config.known_pairs
         self.usual += (error - self.usual) / min(self._pairs, window)
         enough = config.known_pairs if self.usual < config.known_error else config.known_after
         if self._pairs >= enough:
             self.known, self.changing = True, False
+        return False
+
+    def _has_risen(self, error: float, version: int, most: float) -> bool:
+        """Follow the errors' logarithms; return whether they have become and stayed much larger than they were."""
+        above = math.log(error + SMALL) - self._level
+        if self._levelled >= RISEN_PAIRS:
+            if self._rise == 0:
+                self._risen_from = version
+            self._rise = max(0.0, self._rise + min(max(above, -MOST_RISEN), MOST_RISEN) - RISEN)
+            if self._rise > most:
+                return True
+        self._levelled += 1
+        self._level += above / min(self._levelled, USUAL_PAIRS if self._levelled > RISEN_PAIRS else RISEN_PAIRS)
         return False

@@ -246,10 +246,8 @@ class ArenaRobot(Resting, abc.ABC):
 
     def act(self, values: Mapping[str, float]) -> Outcome:
         """Turn, advance, sense."""
-        check(self.spec, values)
+        turn_rad = self._turned_rad(values)
         self._begun()
-        turn_rad = math.radians(values["turn"])
-        turn_rad *= -self.changes.turn_share if self.changes.swapped else self.changes.turn_share
         bumped = self._move(turn_rad, self.config.advance_m)
         self._acts += 1
         self._senses = 0
@@ -258,6 +256,14 @@ class ArenaRobot(Resting, abc.ABC):
         reading = self._read("reached", 0)
         self._unseen = 0 if reading else self._unseen + 1
         return Outcome(self._event(bumped), reading)
+
+    def foresee(self, values: Mapping[str, float]) -> tuple[Numbers, str]:
+        """Return where an action would lead from here, and the event of the motion; nothing is sensed or counted."""
+        before = self.placement
+        bumped = self._move(self._turned_rad(values), self.config.advance_m)
+        after, event = self.scene(), "capture" if is_captured(self.placement, self.config) else NOTHING
+        self._place(before)
+        return after, "bump" if bumped and event == NOTHING else event
 
     def clean_ranges_m(self) -> Array:
         """The (16,) ranges without noise or dropped echoes where the robot stands; nan without echo."""
@@ -276,6 +282,12 @@ class ArenaRobot(Resting, abc.ABC):
     ) -> None:
         """Close the body at the end of a `with` block."""
         self.close()
+
+    def _turned_rad(self, values: Mapping[str, float]) -> float:
+        """Return how far an action turns the body as it is now."""
+        check(self.spec, values)
+        share = -self.changes.turn_share if self.changes.swapped else self.changes.turn_share
+        return math.radians(values["turn"]) * share
 
     def _may_touch(self, start: Pose, advance_m: float) -> bool:
         """Whether anything is within reach of a motion from there: a cheap answer that spares most searches."""
