@@ -110,6 +110,8 @@ class RobotService:
     def due_in_s(self) -> float:
         """Return in how many seconds there is something to do whatever comes."""
         due_s = self._perception.stamp + SHOWN_AGAIN_S if self._ticks is None else self._ticks.due_s
+        if self._acting.busy and self._halted_at != self._done + 1:
+            due_s = min(due_s, self._heard_s + self._hold_s)
         return max(0.0, due_s - self._clock())
 
     def step(self) -> bool:
@@ -123,6 +125,8 @@ class RobotService:
             self._heard_s = self._clock()
             self._take(action)
             moved = True
+        elif self._acting.busy:
+            self._rest()
         if self._ticks is not None:
             return self._tick(self._ticks) or moved
         if self._next is not None and not self._acting.busy:
@@ -196,7 +200,7 @@ class RobotService:
 
     def _rest(self) -> None:
         """Halt a body that nobody commands, once after each action; also while it acts, when that is so for long."""
-        if self._acting.busy and self._clock() - self._heard_s <= self._hold_s:
+        if self._acting.busy and self._clock() - self._heard_s < self._hold_s:
             return
         if self._halted_at != self._done + self._acting.busy:
             self._halted_at = self._done + self._acting.busy
