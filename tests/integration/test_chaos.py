@@ -9,13 +9,14 @@ import pytest
 from mdb_deploy.experiments import experiment_path
 from mdb_deploy.running.compose import for_experiment, read
 from mdb_deploy.trials.chaos import ChaosOptions, run
+from mdb_deploy.trials.chaos_report import Report
 from mdb_deploy.trials.soak import SoakOptions
 from mdb_deploy.trials.soak import run as soak_run
 from mdb_deploy.trials.under_test import long_experiment
 from mdb_protocol import codec, messages
 from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_sim.robot.state_file import StateFile
-from mdb_sim.runs.experiment import ROBOT_FILE
+from mdb_sim.runs.experiment import ROBOT_FILE, Experiment
 from mdb_sim.runs.inline import run_experiment
 from mdb_sim.runs.record import read_record
 from tests.integration.brain import SHORT
@@ -34,6 +35,26 @@ def pairs_of(run_folder: Path) -> list[dict[str, Any]]:
     return [codec.to_plain(codec.decode(messages.Pair, payload, encoding)) for (payload,) in rows]
 
 
+def straight_and_killed(experiment: Experiment, folder: Path, seed: int) -> tuple[Report, messages.RobotState]:
+    """Run an experiment in one process (`straight`), and in many of which all but the recorder die: the same pairs.
+
+    Return what the kills were, and where the robot was at the end.
+    """
+    file = folder / "experiment.toml"
+    experiment.write(file)
+    run_experiment(experiment, folder / "straight")
+    roles = tuple(name for name in for_experiment(read(), experiment) if name != "recorder")
+    options = ChaosOptions(
+        file, (), folder / "killed", 8, seed, roles, bound_s=BOUND_S, pause_s=0.05, to_the_end=True
+    )
+    report = run(options, print)
+    assert (report.findings.holds, report.status) == (True, 0)
+    assert pairs_of(report.run) == pairs_of(folder / "straight")
+    state = StateFile(report.run / ROBOT_FILE).read()
+    assert state is not None
+    return report, state
+
+
 def test_after_twelve_kills_everything_acknowledged_is_there_once(tmp_path: Path) -> None:
     report = run(ChaosOptions(PAPER, SHORT, tmp_path, kills=12, seed=1, bound_s=BOUND_S, pause_s=0.3), print)
     assert len(report.kills) == 12
@@ -49,20 +70,8 @@ def test_after_twelve_kills_everything_acknowledged_is_there_once(tmp_path: Path
 def test_a_lockstep_run_with_kills_ends_as_the_one_without(tmp_path: Path, seed: int) -> None:
     """All but the recorder die, whom nobody waits for."""
     settings = (*SHORT, f"experiment.seed={seed}", "experiment.pace=lockstep")
-    file = tmp_path / "experiment.toml"
-    experiment = long_experiment(PAPER, settings, 3 * 80)
-    experiment.write(file)
-    run_experiment(experiment, tmp_path / "straight")
-    roles = tuple(name for name in for_experiment(read(), experiment) if name != "recorder")
-    options = ChaosOptions(
-        file, (), tmp_path / "killed", 8, seed, roles, bound_s=BOUND_S, pause_s=0.05, to_the_end=True
-    )
-    report = run(options, print)
+    report, state = straight_and_killed(long_experiment(PAPER, settings, 3 * 80), tmp_path, seed)
     assert len(report.kills) >= 6
-    assert (report.findings.holds, report.status) == (True, 0)
-    assert pairs_of(report.run) == pairs_of(tmp_path / "straight")
-    state = StateFile(report.run / ROBOT_FILE).read()
-    assert state is not None
     assert state.scene.successes == read_record(tmp_path / "straight").successes[-1]
 
 

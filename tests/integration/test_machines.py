@@ -5,16 +5,13 @@ from pathlib import Path
 import pytest
 
 from mdb_deploy.experiments import EXPERIMENTS, experiment_path
-from mdb_deploy.running.compose import for_experiment, read
-from mdb_deploy.trials.chaos import ChaosOptions, run
 from mdb_sim.body import NOTHING
-from mdb_sim.robot.state_file import StateFile
-from mdb_sim.runs.experiment import ROBOT_FILE, Experiment
+from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.inline import run_experiment
 from mdb_sim.runs.measures import obeyed
 from mdb_sim.runs.record import read_record
 from tests.integration.brain import Brain
-from tests.integration.test_chaos import BOUND_S, pairs_of
+from tests.integration.test_chaos import straight_and_killed
 from tests.integration.test_experiment import check_replay, repeatable
 
 SHORT = (
@@ -57,18 +54,8 @@ def test_lockstep_processes_log_what_one_process_logs(machine: str, tmp_path: Pa
 @pytest.mark.parametrize("machine", ["cartpole", "pendulum"])
 def test_a_lockstep_run_with_kills_ends_as_the_one_without(machine: str, tmp_path: Path) -> None:
     settings = (*SHORT, "experiment.pace=lockstep", "experiment.iterations=250")
-    file = tmp_path / "experiment.toml"
-    experiment = Experiment.read(experiment_path(machine), settings)
-    experiment.write(file)
-    run_experiment(experiment, tmp_path / "straight")
-    roles = tuple(name for name in for_experiment(read(), experiment) if name != "recorder")
-    options = ChaosOptions(file, (), tmp_path / "killed", 8, 1, roles, bound_s=BOUND_S, pause_s=0.05, to_the_end=True)
-    report = run(options, print)
+    report, state = straight_and_killed(Experiment.read(experiment_path(machine), settings), tmp_path, 1)
     assert len(report.kills) >= 4
-    assert (report.findings.holds, report.status) == (True, 0)
-    assert pairs_of(report.run) == pairs_of(tmp_path / "straight")
-    state = StateFile(report.run / ROBOT_FILE).read()
-    assert state is not None
     straight = read_record(tmp_path / "straight").scenes[250]
     assert (state.scene.now, state.scene.episode) == (straight.now, straight.episode)
 

@@ -26,7 +26,7 @@ from mdb_protocol.errors import BusError
 from mdb_sim.teaching.languages import Language
 from mdb_sim.teaching.policies.pioneer import Reach
 from mdb_sim.teaching.policies.plain import Named
-from mdb_sim.teaching.policy import OBEYED, Policy, likest
+from mdb_sim.teaching.policy import Policy, done, judgement, likest, shows
 from mdb_sim.teaching.service import ROLE
 from mdb_sim.teaching.sound import Player
 
@@ -188,25 +188,19 @@ class TeachingSession:
 
     def _seen(self, scene: messages.Scene) -> tuple[int | None, bool | None]:
         """Return the command that what happened is most like, and whether what was meant happened; None: unknown."""
-        before, knows = scene.before, not isinstance(self.policy, Named)
-        if before is None or not knows or not set(self.policy.needs) <= set(before) & set(scene.reached):
+        if scene.before is None or isinstance(self.policy, Named) or not shows(self.policy, scene):
             return None, None
-        did = likest(self.policy, before, scene.reached, scene.event)
+        did = likest(self.policy, scene.before, scene.reached, scene.event)
         meant = self._record.exchange(scene.iteration - 1).command
-        if meant is None:
-            return did, None
-        worth = self.policy.judge(before, scene.reached, scene.event, meant)
-        return did, None if worth is None else worth >= OBEYED
+        return did, None if meant is None else done(self.policy, meant, scene)
 
     def _teach(self, scene: messages.Scene, wanted: int | None) -> None:
         """Do as the scripted teacher does: judge the last action, command the next."""
-        done, before = self._record.exchange(scene.iteration - 1), scene.before
-        if done.command is not None and done.feedback is None and before is not None:
-            was_wanted = self.policy.want(before)
-            if was_wanted is not None:
-                judgement = self.policy.judge(before, scene.reached, scene.event, was_wanted)
-                if judgement is not None:
-                    self._judge(done.iteration, judgement)
+        last = self._record.exchange(scene.iteration - 1)
+        if last.command is not None and last.feedback is None:
+            found = judgement(self.policy, scene)
+            if found is not None:
+                self._judge(last.iteration, found)
         self._command(None if wanted is None else self._view.language.note(wanted))
 
     def _command(self, note: int | None) -> None:

@@ -98,11 +98,9 @@ class MemoryChange(Message, frozen=True, kw_only=True):
     seeds: Seeds = msgspec.field(default_factory=list)
 
     def __post_init__(self) -> None:
-        for name in ("slots", "pairs", "freed", "evicted"):
-            check_array(name, getattr(self, name), "i", 1)
-        check_array("inputs", self.inputs, "f", 2)
-        check_array("targets", self.targets, "f", 2)
-        check_rows("change", self.slots, self.pairs, self.inputs, self.targets)
+        check_array("freed", self.freed, "i", 1)
+        check_array("evicted", self.evicted, "i", 1)
+        _check_slots("change", self)
 
 
 class MemorySnapshot(Message, frozen=True, kw_only=True):
@@ -120,11 +118,14 @@ class MemorySnapshot(Message, frozen=True, kw_only=True):
     seeds: Seeds = msgspec.field(default_factory=list)
 
     def __post_init__(self) -> None:
-        check_array("slots", self.slots, "i", 1)
-        check_array("pairs", self.pairs, "i", 1)
-        check_array("inputs", self.inputs, "f", 2)
-        check_array("targets", self.targets, "f", 2)
-        check_rows("snapshot", self.slots, self.pairs, self.inputs, self.targets)
+        _check_slots("snapshot", self)
+
+
+def _check_slots(what: str, held: MemoryChange | MemorySnapshot) -> None:
+    """Raise ValueError unless each slot has its pair, with the rows of its inputs and targets."""
+    for name, kind, dimensions in (("slots", "i", 1), ("pairs", "i", 1), ("inputs", "f", 2), ("targets", "f", 2)):
+        check_array(name, getattr(held, name), kind, dimensions)
+    check_rows(what, held.slots, held.pairs, held.inputs, held.targets)
 
 
 class Checkpoint(Message, frozen=True, kw_only=True):

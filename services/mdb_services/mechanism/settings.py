@@ -51,7 +51,7 @@ class EvolutionConfig:
     def __post_init__(self) -> None:
         if not 0 < self.elite < self.population:
             raise ValueError(f"elite is {self.elite}; expected 1 to {self.population - 1}, fewer than population")
-        _at_least(self, generations=1)
+        at_least(self, generations=1)
         rates = ("crossover_rate", "mutation_rate", "structural_rate")
         _shares(self, "parent_share", *rates, "immigrant_share", "expressed_first")
         _not_negative(self, "step_rate", "weight_first", "weight_penalty", "error_penalty")
@@ -79,7 +79,7 @@ class DifferentialConfig:
     """Added to the fitness for each unit of the sum of squared weights."""
 
     def __post_init__(self) -> None:
-        _at_least(self, population=4, generations=1)
+        at_least(self, population=4, generations=1)
         _shares(self, "best_share", "immigrant_share")
         _not_negative(self, "weight_first", "weight_penalty")
         _limited(self)
@@ -105,7 +105,7 @@ class CmaConfig:
     """Added to the fitness for each unit of the sum of squared weights."""
 
     def __post_init__(self) -> None:
-        _at_least(self, population=4, generations=1)
+        at_least(self, population=4, generations=1)
         _steps_in_order(self)
         _not_negative(self, "weight_penalty")
         _limited(self)
@@ -127,7 +127,7 @@ class AdamConfig:
     of 50 % instead of 2 %."""
 
     def __post_init__(self) -> None:
-        _at_least(self, steps=1, batch=1)
+        at_least(self, steps=1, batch=1)
         _not_negative(self, "decay")
         if not 0 < self.rate <= 1:
             raise ValueError(f"rate is {self.rate}; expected more than 0, at most 1")
@@ -163,10 +163,18 @@ LEARNER_CONFIGS: dict[str, type[LearnerConfig]] = {
 """The settings of each learner that an experiment file can name; `learners.LEARNERS` has their code."""
 
 
-def _at_least(settings: Any, **lowest: int) -> None:
+def at_least(settings: Any, **lowest: int) -> None:
+    """Raise ValueError that names a setting which is less than it may be."""
     for name, limit in lowest.items():
         if getattr(settings, name) < limit:
             raise ValueError(f"{name} is {getattr(settings, name)}; expected {limit} or more")
+
+
+def positive(settings: Any, *names: str) -> None:
+    """Raise ValueError that names a setting which is not a finite number above zero."""
+    for name in names:
+        if not 0 < getattr(settings, name) < np.inf:
+            raise ValueError(f"{name} is {getattr(settings, name)}; expected a positive number")
 
 
 def _shares(settings: Any, *names: str) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +42,7 @@ def make_body(name: str, options: Mapping[str, Any], folder: Path | None = None,
         body = factory(**options, gui=True) if gui else factory(**options)
     except TypeError as error:
         raise BodyError(f"body={name!r}: its factory does not take the options {dict(options)}: {error}") from error
-    missing = [member for member in MEMBERS if not hasattr(body, member)]
-    if missing:
-        raise BodyError(
-            f"body={name!r} gave a {type(body).__name__} without {', '.join(missing)}; expected the members of "
-            "mdb_sim.body.Body; add them to that class"
-        )
+    check_members(body, MEMBERS, f"body={name!r}", "mdb_sim.body.Body")
     made: Body = body
     return made
 
@@ -63,6 +58,16 @@ def spec_of(name: str, options: Mapping[str, Any], folder: Path | None = None) -
         return body.spec
     finally:
         body.close()
+
+
+def check_members(made: object, members: Sequence[str], what: str, contract: str) -> None:
+    """Raise BodyError when something that a factory made lacks members of its contract."""
+    missing = [member for member in members if not hasattr(made, member)]
+    if missing:
+        raise BodyError(
+            f"{what} gave a {type(made).__name__} without {', '.join(missing)}; expected the members of {contract}; "
+            "add them to that class"
+        )
 
 
 def find(name: str, folder: Path | None, what: str, known: Mapping[str, str]) -> Callable[..., Any]:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import suppress
 
 from mdb_sim.robot.course import Course, Step
 
@@ -82,11 +83,6 @@ class Acting:
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
             if self._future is not None:
-                _ = self._future.done() or _wait(self._future)
+                with suppress(CancelledError, TimeoutError):
+                    self._future.exception(CLOSE_S)
         self._course.body.close()
-
-
-def _wait(future: Future[Step]) -> bool:
-    over = threading.Event()
-    future.add_done_callback(lambda _: over.set())
-    return over.wait(CLOSE_S)

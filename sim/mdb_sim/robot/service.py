@@ -71,7 +71,7 @@ class RobotService:
         self._deadlines, self._hold_s = deadlines, hold_s
         self._elsewhere = Elsewhere()
         self._halted_at = 0
-        """Actions done when the body was halted for want of a commander."""
+        """Actions begun when the body was halted for want of a commander."""
         self._late = self._done = self._halts = self._changes = self._unwritten = 0
         self._refused = False
         """Whether the disk did not take the last state."""
@@ -110,7 +110,7 @@ class RobotService:
     def due_in_s(self) -> float:
         """Return in how many seconds there is something to do whatever comes."""
         due_s = self._perception.stamp + SHOWN_AGAIN_S if self._ticks is None else self._ticks.due_s
-        if self._acting.busy and self._halted_at != self._done + 1:
+        if self._acting.busy and not self._halted:
             due_s = min(due_s, self._heard_s + self._hold_s)
         return max(0.0, due_s - self._clock())
 
@@ -198,12 +198,22 @@ class RobotService:
         self._action, self._next = action, None
         self._acting.begin(action.action)
 
+    @property
+    def _begun(self) -> int:
+        """Actions begun, the one under way included."""
+        return self._done + self._acting.busy
+
+    @property
+    def _halted(self) -> bool:
+        """Whether the body was halted since the last action began."""
+        return self._halted_at == self._begun
+
     def _rest(self) -> None:
         """Halt a body that nobody commands, once after each action; also while it acts, when that is so for long."""
         if self._acting.busy and self._clock() - self._heard_s < self._hold_s:
             return
-        if self._halted_at != self._done + self._acting.busy:
-            self._halted_at = self._done + self._acting.busy
+        if not self._halted:
+            self._halted_at = self._begun
             self._halts += 1
             self._acting.halt()
 

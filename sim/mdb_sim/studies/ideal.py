@@ -103,8 +103,8 @@ def ideal_successes(record: RunRecord, window: Window) -> float:
 def _in_force(changes: Mapping[int, Mapping[str, Any]], start: int) -> dict[str, Any]:
     """Return what stays changed of a body at an iteration; where the object was put, the scene tells."""
     made: dict[str, Any] = {}
-    for _, settings in sorted((at, settings) for at, settings in changes.items() if at <= start):
-        made |= settings
+    for at in sorted(at for at in changes if at <= start):
+        made |= changes[at]
     return {name: value for name, value in made.items() if name not in ONCE}
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from mdb_protocol import messages
-from mdb_sim.bodies.finding import find
+from mdb_sim.bodies.finding import check_members, find
 from mdb_sim.body import BodyError, Numbers
 from mdb_sim.teaching.languages import Language, TeacherError
 
@@ -63,16 +63,11 @@ def make_policy(name: str, options: Mapping[str, Any], folder: Path | None = Non
     try:
         factory = find(name, folder, "policy", POLICIES)
         policy = factory(**options)
+        check_members(policy, MEMBERS, f"policy={name!r}", "mdb_sim.teaching.policy.Policy")
     except BodyError as error:
         raise TeacherError(str(error)) from error
     except (TypeError, ValueError) as error:
         raise TeacherError(f"policy={name!r} does not take the options {dict(options)}: {error}") from error
-    missing = [member for member in MEMBERS if not hasattr(policy, member)]
-    if missing:
-        raise TeacherError(
-            f"policy={name!r} gave a {type(policy).__name__} without {', '.join(missing)}; expected the members of "
-            "mdb_sim.teaching.policy.Policy; add them to that class"
-        )
     made: Policy = policy
     return made
 
@@ -84,14 +79,30 @@ def likest(policy: Policy, before: Numbers, after: Numbers, event: str) -> int |
     return max(told, key=lambda command: told[command]) if told else None
 
 
+def judgement(policy: Policy, scene: messages.Scene) -> float | None:
+    """Return how well what was wanted before a scene was done; None: nothing was, or it cannot be told."""
+    wanted = None if scene.before is None else policy.want(scene.before)
+    if wanted is None or scene.before is None:
+        return None
+    return policy.judge(scene.before, scene.reached, scene.event, wanted)
+
+
 def obeyed(policy: Policy, language: Language, note: int, scene: messages.Scene) -> bool | None:
     """Return whether what a note meant was done before a scene; None: that cannot be said."""
-    if scene.before is None or not 0 <= note < len(language.notes):
+    return done(policy, language.command(note), scene) if 0 <= note < len(language.notes) else None
+
+
+def done(policy: Policy, command: int, scene: messages.Scene) -> bool | None:
+    """Return whether a command was done before a scene; None: that cannot be said."""
+    if scene.before is None or not shows(policy, scene):
         return None
-    if not set(policy.needs) <= set(scene.before) & set(scene.reached):
-        return None
-    worth = policy.judge(scene.before, scene.reached, scene.event, language.command(note))
+    worth = policy.judge(scene.before, scene.reached, scene.event, command)
     return None if worth is None else worth >= OBEYED
+
+
+def shows(policy: Policy, scene: messages.Scene) -> bool:
+    """Return whether a scene has what a policy looks at, before the action and after it."""
+    return scene.before is not None and set(policy.needs) <= set(scene.before) & set(scene.reached)
 
 
 def as_listed(commands: Sequence[str]) -> tuple[int, ...]:

@@ -18,7 +18,7 @@ from mdb_protocol import messages
 from mdb_services.experiment.sections import Name, Probability, Section
 from mdb_services.mechanism.networks import streams
 from mdb_sim.teaching.languages import Language, TeacherError, make_language
-from mdb_sim.teaching.policy import OBEYED, Policy, make_policy
+from mdb_sim.teaching.policy import OBEYED, Policy, judgement, make_policy
 from mdb_sim.teaching.sound import SoundSection
 
 DRAWN = "random"
@@ -135,13 +135,10 @@ class Schedule:
 
         The iteration is the one that led to the scene.
         """
-        wanted = None if scene.before is None else self.policy.want(scene.before)
-        if wanted is None or scene.before is None:
+        found = judgement(self.policy, scene)
+        if found is None:
             return None
-        judgement = self.policy.judge(scene.before, scene.reached, scene.event, wanted)
-        if judgement is None:
-            return None
-        value = graded(judgement, binary=self.binary)
+        value = graded(found, binary=self.binary)
         mistaken = streams.generator(self.seed, "teacher/feedback", iteration).random()
         return -value if mistaken < self.at(iteration).habits.wrong_feedback else value
 

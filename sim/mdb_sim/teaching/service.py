@@ -106,7 +106,8 @@ class ScriptedTeacher:
             self._say(phase.teacher, scene.iteration, note)
         self._phase = phase
         if before.teacher is not None and before.teacher != phase.teacher:
-            # He is silent from now on, which frees the word; after the other's note, which else could come too late.
+            # He is silent from now on, so that the other is obeyed; said after the other's note, which else could
+            # come too late.
             self._say(before.teacher, scene.iteration, None)
 
     def _note(self, scene: messages.Scene) -> int | None:

@@ -87,11 +87,11 @@ class Canvas:
         """Draw a circle, a single dot at least."""
         x, y = self._place(centre)
         dots = radius * self._dots_per_unit
-        for row in self._rows_of(y, dots):
+        for row in _within(y, dots, 4 * self._rows):
             half = _half_chord(row + 0.5 - y, dots)
             self._set(x - half, row, style)
             self._set(x + half, row, style)
-        for column in range(max(0, math.ceil(x - dots)), min(2 * self._columns, math.floor(x + dots) + 1)):
+        for column in _within(x, dots, 2 * self._columns):
             half = _half_chord(column + 0.5 - x, dots)
             self._set(column, y - half, style)
             self._set(column, y + half, style)
@@ -102,15 +102,10 @@ class Canvas:
         """Draw a filled circle."""
         x, y = self._place(centre)
         dots = radius * self._dots_per_unit
-        for row in self._rows_of(y, dots):
-            half = _half_chord(row + 0.5 - y, dots)
-            for column in range(max(0, math.ceil(x - half)), min(2 * self._columns, math.floor(x + half) + 1)):
+        for row in _within(y, dots, 4 * self._rows):
+            for column in _within(x, _half_chord(row + 0.5 - y, dots), 2 * self._columns):
                 self._set(column, row, style)
         self.dot(centre, style)
-
-    def _rows_of(self, y: float, dots: float) -> range:
-        """Return the rows of dots in the window that a circle can have part in."""
-        return range(max(0, math.ceil(y - dots)), min(4 * self._rows, math.floor(y + dots) + 1))
 
     def cross(self, centre: Point, style: str) -> None:
         """Draw a small × whose size does not depend on the scale."""
@@ -139,6 +134,11 @@ class Canvas:
             text.append("\n")
         text.right_crop(1)
         return text
+
+
+def _within(middle: float, reach: float, count: int) -> range:
+    """Return the rows or columns of dots, of `count` in the window, that are at most so far from a middle."""
+    return range(max(0, math.ceil(middle - reach)), min(count, math.floor(middle + reach) + 1))
 
 
 def _half_chord(away: float, radius: float) -> float:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mdb_services.mechanism.memories.stm import MemoryConfig
+from mdb_services.mechanism.settings import at_least, positive
 
 UNUSUAL = 2.5
 """An error speaks for a change when it is this many times the usual one, and `margin` more."""
@@ -63,18 +64,14 @@ class ContextConfig:
     """Kd of the temporal setting."""
 
     def __post_init__(self) -> None:
-        for name in ("known_error", "cut_off", "margin", "threshold"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}; expected a positive number")
+        positive(self, "known_error", "cut_off", "margin", "threshold")
         if self.rise is not None and not MOST_RISEN - RISEN < self.rise < np.inf:
             raise ValueError(f"rise is {self.rise}; expected more than {MOST_RISEN - RISEN:g}: one pair is no change")
         if self.threshold <= self.cut_off:
             raise ValueError(
                 f"threshold is {self.threshold}; expected more than cut_off = {self.cut_off}: one pair is no change"
             )
-        for name in ("known_pairs", "known_after"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}; expected 1 or more")
+        at_least(self, known_pairs=1, known_after=1)
         MemoryConfig(recency=self.recency, distance=self.distance)
 
     @property

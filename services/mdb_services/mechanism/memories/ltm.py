@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_services.mechanism.networks.network import Floats, Network
+from mdb_services.mechanism.settings import at_least, positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,14 +48,10 @@ class LongTermConfig:
     def __post_init__(self) -> None:
         if self.capacity < 0 or self.seeds < 0:
             raise ValueError(f"capacity {self.capacity}, seeds {self.seeds}: expected none negative")
-        for name in ("stable_pairs", "sample", "fit_pairs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}; expected 1 or more")
+        at_least(self, stable_pairs=1, sample=1, fit_pairs=1)
         if self.newest < self.fit_pairs:
             raise ValueError(f"newest is {self.newest}; expected fit_pairs = {self.fit_pairs} or more")
-        for name in ("good_error", "same_error", "fit_error", "missed_error"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}; expected a positive number")
+        positive(self, "good_error", "same_error", "fit_error", "missed_error")
 
 
 @dataclass(frozen=True)
