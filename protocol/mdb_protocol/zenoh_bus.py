@@ -3,6 +3,9 @@
 Callbacks run on Zenoh's threads and only hand raw samples to an inbox; queries are answered by the
 service's own thread in `serve`. Reliable and latched keys use Zenoh's advanced publishers (a cache that
 late joiners and recovery read); latest-value keys drop under congestion unless the bus is `lossless`.
+
+Recovery cannot tell a reader who missed samples from one who came late: from a reliable publisher who said nothing
+new before his next heartbeat, a late joiner gets all of the cache. So a reader must bear older messages at first.
 """
 
 from __future__ import annotations

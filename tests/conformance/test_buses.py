@@ -141,17 +141,30 @@ def test_late_joiner_gets_the_last_of_a_kept_key(make_bus: MakeBus, row: Key) ->
     assert getattr(message, "version", 2) == 2
 
 
-def test_late_joiner_of_a_reliable_key_gets_only_what_comes(make_bus: MakeBus) -> None:
+@pytest.mark.parametrize("pause_s", [0.0, 0.5], ids=["at once", "after a heartbeat"])
+def test_late_joiner_of_a_reliable_key_gets_what_comes_and_older_ones_only_before_it(
+    make_bus: MakeBus, pause_s: float
+) -> None:
     writer = make_bus()
     publisher = writer.publisher(keys.PAIR_STORED)
-    publisher.put(messages.PairStored(iteration=1, versions={}))
+    for i in range(3):
+        publisher.put(messages.PairStored(iteration=i, versions={}))
     late = make_bus()
     inbox = late.subscriber(keys.PAIR_STORED)
     settle(late, writer)
-    publisher.put(messages.PairStored(iteration=2, versions={}))
-    message = until(late, inbox.take)
-    assert isinstance(message, messages.PairStored)
-    assert message.iteration == 2
+    time.sleep(pause_s)
+    for i in range(3, 6):
+        publisher.put(messages.PairStored(iteration=i, versions={}))
+    got: list[int] = []
+
+    def last() -> bool:
+        while (message := inbox.take()) is not None:
+            got.append(message.iteration)
+        return 5 in got
+
+    until(late, last)
+    assert got == list(range(got[0], 6))
+    assert got[0] <= 3
 
 
 def test_parameter_narrows_a_subscription(make_bus: MakeBus) -> None:

@@ -207,13 +207,18 @@ def test_a_run_in_which_services_died_is_replayed_as_if_they_had_lived(tmp_path:
     assert differing(run) == {}
 
 
-def test_acknowledgements_that_the_recorder_heard_too_early_come_when_they_are_due() -> None:
+@pytest.mark.parametrize(
+    ("answer", "asked"), [(messages.PairStored, messages.Pair), (messages.Perception, messages.Action)]
+)
+def test_answers_that_the_recorder_heard_too_early_come_when_they_are_due(
+    answer: type[Message], asked: type[Message]
+) -> None:
     run = GOLDEN_RUNS["late"]
     log, moved = list(run.log), 0
     for place, recorded in enumerate(run.log):
-        if isinstance(recorded.message, messages.PairStored):
+        if isinstance(recorded.message, answer):
             earlier = max(place - 8, 0)
-            moved += any(isinstance(r.message, messages.Pair) for r in log[earlier:place])
+            moved += any(isinstance(r.message, asked) for r in log[earlier:place])
             log.insert(earlier, log.pop(place))
     assert moved > 50
     assert replay(run._replace(log=log), "optimizer").difference is None

@@ -182,21 +182,26 @@ def replay(run: Run, name: str, compare: Compare = EXACTLY) -> Outcome:
 
 
 class _Answers:
-    """Puts acknowledgements of pairs after the pairs that they are for.
+    """Puts what answers the service after what it answers: acknowledgements after pairs, outcomes after actions.
 
-    The recorder hears each sender in order, but not all senders in one: on a busy machine a pair's acknowledgement
-    can be in the log before the feedback without which the pair was never sent.
+    The recorder hears each sender in order, but not all senders in one: on a busy machine an action's outcome can be
+    in the log before the command without which the action was never chosen.
     """
 
     def __init__(self, run: Run, role: Role) -> None:
         self._answered = role.wrote(keys.PAIR.at(run.experiment.brain.experiment.brain))
         self._sent: set[tuple[int, bool]] = set()
+        actions = (r.message.iteration for r in run.log if isinstance(r.message, messages.Action))
+        self._acted = min(actions, default=0) - 1
+        """The last action that was said. One before the log's first action is of an earlier process."""
         self._early: list[Recorded] = []
 
     def asked(self, message: messages.Message) -> None:
         """Take what the service has said."""
         if isinstance(message, messages.Pair):
             self._sent.add((message.iteration, message.feedback is not None))
+        elif isinstance(message, messages.Action):
+            self._acted = max(self._acted, message.iteration)
 
     def in_order(self, log: Iterable[Recorded]) -> Iterator[Recorded]:
         """Yield the log, what came too early as soon as it is not, and in the end all the rest."""
@@ -211,10 +216,12 @@ class _Answers:
         yield from self._early
 
     def _is_early(self, recorded: Recorded) -> bool:
-        stored = recorded.message
-        if not self._answered or not isinstance(stored, messages.PairStored):
-            return False
-        return (stored.iteration, stored.judged) not in self._sent
+        match recorded.message:
+            case messages.PairStored(iteration=iteration, judged=judged):
+                return self._answered and (iteration, judged) not in self._sent
+            case messages.Perception(done=messages.Action(iteration=iteration)):
+                return self._answered and iteration > self._acted
+        return False
 
 
 def _role(run: Run, name: str) -> Role:
