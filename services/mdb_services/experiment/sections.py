@@ -119,6 +119,8 @@ class ModeSection(Section, frozen=True, kw_only=True):
     curiosity: Annotated[float, Meta(ge=0, le=10)] = 0.0
     margin: Annotated[float, Meta(ge=0, le=2)] = 0.0
     """What promises so much less than the best, in scaled units, counts as equal; see `foresight.Mode`."""
+    babbling: Probability = 0.0
+    """How often any action is taken, each as likely; see `foresight.Mode`."""
 
 
 class OptimizerSection(Section, frozen=True, kw_only=True):

@@ -22,6 +22,7 @@ POLICIES = {
     "follow-wall": "mdb_sim.teaching.policies.pioneer:FollowWall",
     "balance": "mdb_sim.teaching.policies.control:Balance",
     "swing": "mdb_sim.teaching.policies.control:Swing",
+    "whip": "mdb_sim.teaching.policies.control:Whip",
     "upright": "mdb_sim.teaching.policies.control:Upright",
 }
 """The policies that have a short name; any other is named "package.module:Factory"."""

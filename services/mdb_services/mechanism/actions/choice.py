@@ -49,12 +49,14 @@ def choose(
     """Return the choice of the first mode whose inputs are present; a random action when none is.
 
     `facts` holds what is known before acting, `note` among it; `errors` those of the models, see `shortfall`. Forced
-    exploration is uniformly random (paper, section 3); how a mode that is not content explores is told in `Mode`.
+    exploration is uniformly random (paper, section 3), and so is babbling; how a mode that is not content explores is
+    told in `Mode`.
     """
     explores, other = rng.random(), space.random(rng)
     for mode in modes:
         foresees = partial(foresee, mode, models, facts)
-        if forced_exploration:
+        babbles = mode.babbling > 0 and rng.random() < mode.babbling
+        if forced_exploration or babbles:
             if (predicted := foresees(other)) is not None:
                 return _chosen(space, other, 0, mode.name, explored=True, foreseen=predicted)
             continue

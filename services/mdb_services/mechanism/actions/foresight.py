@@ -44,6 +44,10 @@ class Mode:
     Of actions that promise about as much, at most `margin` less than the best, the most familiar one is taken: that
     whose foreseen effect has most pairs of the memory near it. A robot that obeys is praised for nearly all that it
     does. What is usual is told from what is seldom right by how often it was, and hardly by its feedback.
+
+    `babbling` is the probability of any action at all, however content the mode is (as infants babble). A robot that
+    always obeys sees good actions only, and a model from state and action to feedback cannot learn from these alone
+    what is bad.
     """
 
     name: str
@@ -54,6 +58,7 @@ class Mode:
     reach: float | None = None
     curiosity: float = 0.0
     margin: float = 0.0
+    babbling: float = 0.0
 
     def valued_by(self, outputs: Collection[str]) -> str:
         """Return the model that tells the satisfaction, given the outputs of the world model."""
