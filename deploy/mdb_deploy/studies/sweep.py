@@ -19,6 +19,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from mdb_deploy.experiments import experiment_path
 from mdb_deploy.studies import workers as processes
 from mdb_protocol.errors import ConfigError, MdbError
 from mdb_sim.runs.experiment import Experiment
@@ -94,7 +95,8 @@ def tasks_of(study: Study, sweep: Sweep) -> list[Task]:
             if not chosen or not variant.applies:
                 continue
             settings = (*base, *variant.overrides, f"experiment.seed={seed}", "experiment.pace=lockstep")
-            experiment = Experiment.read(sweep.experiment, settings)
+            file = sweep.experiment if variant.file is None else experiment_path(variant.file)
+            experiment = Experiment.read(file, settings)
             label = Label(
                 study=study.name,
                 variant=variant.name,

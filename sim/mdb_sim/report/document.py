@@ -21,6 +21,8 @@ from mdb_sim.verdicts.statistics import seeds_text
 GALLERY = "gallery"
 UNPAIRED = ("reproduction",)
 """Studies that show each variant with all its own seeds."""
+OF_ALL_BODIES = ("machines",)
+"""Studies whose variants are of different bodies: they are shown together, each with its own settings."""
 INTRODUCTION = """\
 # The study
 
@@ -94,10 +96,11 @@ def one(study: Study, results: Sequence[Result], folder: Path) -> tuple[str, lis
 def _section(study: Study, results: Sequence[Result], folder: Path, link: str) -> tuple[str, list[Path]]:
     parts: list[str] = []
     files: list[Path] = []
-    bodies = list(dict.fromkeys(result.label.body for result in results))
+    mixed = study.name in OF_ALL_BODIES
+    bodies = list(dict.fromkeys("" if mixed else result.label.body for result in results))
     for body in bodies:
-        of = [result for result in results if result.label.body == body]
-        name = study.name if body == "kinematic" else f"{study.name}-{body}"
+        of = [result for result in results if mixed or result.label.body == body]
+        name = study.name if body in ("kinematic", "") else f"{study.name}-{body}"
         seconds: dict[str, list[float]] = {}
         for result in sorted(of, key=lambda result: result.label.order):
             seconds.setdefault(result.label.variant, []).append(result.label.seconds)
@@ -125,11 +128,13 @@ def _described(study: Study, results: Sequence[Result]) -> str:
     codes = sorted({result.label.code for result in results})
     minutes = sum(result.label.seconds for result in results) / 60
     everywhere = [each for each in first.label.overrides if all(each in r.label.overrides for r in results)]
+    mixed = study.name in OF_ALL_BODIES
+    what = "" if mixed else f"{first.rows[-1].stop} iterations, body {first.label.body}, "
     text = (
-        f"`mdb study {study.name}`: {first.rows[-1].stop} iterations, body {first.label.body}, {seeds_text(seeds)}; "
+        f"`mdb study {study.name}`: {what}{seeds_text(seeds)}; "
         f"{len(results)} runs, {minutes:.0f} minutes of one core; code {', '.join(codes)}."
     )
-    if everywhere:
+    if everywhere and not mixed:
         text += f" Set for all: {_settings(everywhere)}."
     if len(codes) > 1:
         text += " **These runs are of more than one version of the code**: `mdb study` again makes them alike."

@@ -13,12 +13,14 @@ from itertools import pairwise
 from pathlib import Path
 
 from mdb_sim.figures import curves, drawings
+from mdb_sim.figures.machines import draw_machines
 from mdb_sim.studies import tables
 from mdb_sim.studies.catalogue import Study
 from mdb_sim.studies.rows import PhaseRow
 from mdb_sim.verdicts.acceptance import criteria_table, error_without_obedience, failures, seeds_table
 from mdb_sim.verdicts.aims import aims_table
 from mdb_sim.verdicts.comings import comings_of, comings_table
+from mdb_sim.verdicts.machines import machines_table
 from mdb_sim.verdicts.quantities import (
     SHARE,
     Runs,
@@ -256,6 +258,19 @@ def readapt(section: Section) -> str:
     )
 
 
+def machines(section: Section) -> str:
+    """What each machine reached, and its learning curve."""
+    return _paragraphs(
+        "Each machine is taught by one scripted teacher and tried alone in turn. Competence is what it does alone, "
+        "with learning on; the aim is for the median of the seeds.",
+        machines_table(section.own),
+        section.figure(
+            draw_machines(section.own, section.stem),
+            "Machines: competence alone over the iterations taught. Seeds thin, median thick; dashed: the aim.",
+        ),
+    )
+
+
 def _variants_figure(section: Section, caption: str) -> str:
     runs = section.runs
     quantities = figure_quantities(runs)
@@ -288,5 +303,6 @@ SECTIONS: dict[str, Callable[[Section], str]] = {
     "ablation": ablation,
     "comings": memory,
     "readapt": readapt,
+    "machines": machines,
 }
 """What is shown of each study, by its name."""

@@ -38,6 +38,7 @@ STUDIES = {
         *REPORTED,
         Study("ablation", "as shipped against one ingredient less: table and figure", "11-20"),
         Study("readapt", "a body that changes: before, at, after; learning on and off", "6101-6110"),
+        Study("machines", "machines taught by an experiment file alone: how long, and how good alone", "5301-5305"),
         Study("comings", "teachers A, B, A, B, A: how fast one who comes back is obeyed again", "11-20", True),
     )
 }

@@ -162,7 +162,8 @@ def _label(schema: pa.Schema) -> Label:
 
 
 def _result(table: pa.Table) -> Result:
-    types = {name: np.dtype(_numpy_name(table.schema.field(name).type)) for name in CURVES}
+    there = [name for name in CURVES if name in table.schema.names]
+    types = {name: np.dtype(_numpy_name(table.schema.field(name).type)) for name in there}
     return Result(_label(table.schema), tuple(_rows(table.to_pylist(), types)))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mdb_sim.runs import measures
 from mdb_sim.runs.record import Doubles, Episode, RunRecord, Span
 from mdb_sim.runs.trajectories import typical
+from mdb_sim.studies import machines
 from mdb_sim.studies.ideal import ideal_successes
 
 Curve = NDArray[np.float32]
@@ -74,6 +75,8 @@ class PhaseRow:
     """Steps of each episode of the phase that ended in a capture."""
     paths: tuple[Curve, ...]
     """Typical episodes: object x, y, then x, y and heading of each place, in m and rad; empty without these."""
+    scores: Curve = field(default_factory=lambda: np.zeros(0, np.float32))
+    """Of each whole episode of the phase, for the machines of `machines.MACHINES`."""
 
     @property
     def share(self) -> float:
@@ -123,6 +126,7 @@ def _row(
         captured=np.diff(record.successes[phase.start : phase.stop + 1]).astype(np.int8),
         capture_steps=np.array([episode.steps for episode in done], dtype=np.int32),
         paths=tuple(_path(episode) for _, episode in typical(done)),
+        scores=machines.scores(record, span),
         prequential_curve=curves["prequential"][phase].astype(np.float32),
         memory_error_curve=curves["memory"][phase].astype(np.float32),
         pair_error_curve=curves["pairs"][phase].astype(np.float32),

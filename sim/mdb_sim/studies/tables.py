@@ -18,6 +18,7 @@ from mdb_services.mechanism.settings import EvolutionConfig
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.studies.catalogue import ACCEPTANCE, PHASE, Study
 from mdb_sim.studies.ideal import KNOWN_BODIES
+from mdb_sim.studies.machines import MACHINES, settings_of
 
 AS_SHIPPED = "as shipped"
 PROMOTERS = "pbga"
@@ -45,6 +46,8 @@ class Variant:
     """See `baselines.PLAYERS`."""
     applies: bool = True
     """Whether there is anything to change in this experiment."""
+    file: str | None = None
+    """The shipped experiment in whose place it is run; None: the one that is asked for."""
 
 
 Variants = Callable[[Experiment], list[Variant]]
@@ -364,6 +367,12 @@ def ablation(experiment: Experiment) -> list[Variant]:
     return [Variant(AS_SHIPPED), *(Variant(name, away, applies=bool(away)) for name, away in variants.items())]
 
 
+def machines(experiment: Experiment) -> list[Variant]:
+    """Each machine by its own file, taught and tried alone in turn."""
+    del experiment
+    return [Variant(machine.what, settings_of(machine), file=machine.file) for machine in MACHINES]
+
+
 VARIANTS: dict[str, Variants] = {
     "reproduction": reproduction,
     "paper": paper,
@@ -375,6 +384,7 @@ VARIANTS: dict[str, Variants] = {
     "ablation": ablation,
     "comings": comings,
     "readapt": readapt,
+    "machines": machines,
     "acceptance": as_shipped,
 }
 """What each study compares; the first variant is what the others are compared with."""
@@ -382,7 +392,7 @@ VARIANTS: dict[str, Variants] = {
 
 def overrides_of(study: Study, iterations: int = PHASE) -> Overrides:
     """Return what a study changes in every variant; iterations: of a phase, where it makes its own."""
-    body = () if study is ACCEPTANCE else (KINEMATIC,)
+    body = () if study is ACCEPTANCE or study.name == "machines" else (KINEMATIC,)
     if not study.own_schedule:
         return body
     names = [chr(ord("A") + place) for place in range(LIFE)]

@@ -23,6 +23,7 @@ POLICIES = {
     "balance": "mdb_sim.teaching.policies.control:Balance",
     "swing": "mdb_sim.teaching.policies.control:Swing",
     "whip": "mdb_sim.teaching.policies.control:Whip",
+    "nearer": "mdb_sim.teaching.policies.places:Nearer",
     "upright": "mdb_sim.teaching.policies.control:Upright",
 }
 """The policies that have a short name; any other is named "package.module:Factory"."""

@@ -124,10 +124,13 @@ def gather(
 
 
 def with_changes(facts: Facts) -> Facts:
-    """Add `covered.NAME` (before minus after) for every sensor that is known before and after."""
-    for name in [name for name in facts if f"next.{name}" in facts]:
-        if facts[name].shape == facts[f"next.{name}"].shape:
-            facts[f"covered.{name}"] = facts[name] - facts[f"next.{name}"]
+    """Add `covered.NAME` (before minus after) for every sensor known before and after, or what is after by both."""
+    for name in list(facts):
+        after, covered = f"next.{name}", f"covered.{name}"
+        if after in facts and facts[name].shape == facts[after].shape:
+            facts[covered] = facts[name] - facts[after]
+        elif covered in facts and facts[name].shape == facts[covered].shape:
+            facts[after] = facts[name] - facts[covered]
     return facts
 
 

@@ -81,7 +81,13 @@ class Swing(_Pushes):
     _WALL, _MOST_SPEED = -1.19, 0.0699
 
     def __init__(
-        self, force: float = 0.001, gravity: float = 0.0025, *, push: float = 1.0, rest: float = 1.0, tolerance: float = 1.0
+        self,
+        force: float = 0.001,
+        gravity: float = 0.0025,
+        *,
+        push: float = 1.0,
+        rest: float = 1.0,
+        tolerance: float = 1.0,
     ) -> None:
         """force, gravity: of the environment's equation of motion. push: how strong a push is wanted, of 1.
 

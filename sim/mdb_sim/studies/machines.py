@@ -1,0 +1,136 @@
+"""The machines that are taught by an experiment file alone: how long, what is competent, what is to be reached.
+
+Owns the table, the schedule in which each is taught and tried alone in turn, and the score of an episode. To add a
+machine, add a line to `MACHINES`. Plain data and pure functions; the files are those of `deploy/experiments`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdb_sim.runs.record import Episode, RunRecord, Span
+
+REWARD = "reward"
+"""The scene's number for the environment's reward of the last action."""
+CLOSE_M = 0.03
+"""An arm's tip as near as this has reached its target."""
+BAND_M = (0.4, 1.0)
+"""So far from its wall a robot that follows it at 0.7 m is well placed."""
+ALONE = "alone"
+
+Score = Callable[[Episode], float]
+
+
+def reward(episode: Episode) -> float:
+    """Return the sum of the environment's rewards: Gymnasium's return."""
+    return sum(place[REWARD] for place in episode.places[1:])
+
+
+def no_bump(episode: Episode) -> float:
+    """Return 0 when it ended with a bump, else 1."""
+    return float(episode.event != "bump")
+
+
+def success(episode: Episode) -> float:
+    """Return 1 when it ended with a success, else 0."""
+    return float(episode.success)
+
+
+def close(episode: Episode) -> float:
+    """Return 1 when the tip was at its target in the end, else 0."""
+    last = episode.places[-1]
+    return float(math.hypot(last["dx"], last["dy"]) < CLOSE_M)
+
+
+def in_band(episode: Episode) -> float:
+    """Return the share of steps at the right distance from the nearest wall of an arena of 10 m."""
+    away_m = [5.0 - max(abs(place["x_m"]), abs(place["y_m"])) for place in episode.places[1:]]
+    return float(np.mean([BAND_M[0] <= far_m <= BAND_M[1] for far_m in away_m]))
+
+
+@dataclass(frozen=True)
+class Machine:
+    """How a machine is taught and measured. `score`: of an episode; None: successes as a share of the ideal's."""
+
+    file: str
+    what: str
+    score: Score | None
+    measure: str
+    target: float
+    forced: int
+    """Iterations of forced exploration, while it is taught, ..."""
+    taught: int
+    """... after them so many taught in all, ..."""
+    tried: int
+    """... with so many alone after each of `BLOCKS` parts, ..."""
+    last: int
+    """... and so many at the end."""
+    language: str = "random"
+    settings: tuple[str, ...] = ()
+    """What else is not as in the file."""
+
+
+TWIN = ("robot.body=kinematic",)
+BLOCKS = 5
+MACHINES: tuple[Machine, ...] = (
+    Machine(
+        "paper",
+        "Pioneer 2 reaches an object",
+        None,
+        "captures, share of the ideal",
+        0.97,
+        200,
+        300,
+        150,
+        500,
+        settings=TWIN,
+    ),
+    Machine(
+        "avoid", "Pioneer 2 avoids it", no_bump, "episodes without a bump", 0.95, 200, 500, 200, 1000, settings=TWIN
+    ),
+    Machine(
+        "follow-wall",
+        "Pioneer 2 follows the wall",
+        in_band,
+        "steps in the band",
+        0.8,
+        200,
+        500,
+        200,
+        1000,
+        settings=TWIN,
+    ),
+    Machine("cartpole", "CartPole-v1", reward, "return", 475.0, 100, 500, 1100, 3500),
+    Machine("mountaincar", "MountainCar-v0", reward, "return", -130.0, 50, 1000, 500, 2000),
+    Machine("mountaincar-continuous", "MountainCarContinuous-v0", reward, "return", 90.0, 50, 1000, 1000, 3000),
+    Machine("acrobot", "Acrobot-v1", reward, "return", -110.0, 50, 1000, 500, 2000),
+    Machine("pendulum", "Pendulum-v1, a torque in a range", reward, "return", -250.0, 50, 2000, 600, 2000),
+)
+BY_FILE = {machine.file: machine for machine in MACHINES}
+
+
+def settings_of(machine: Machine) -> tuple[str, ...]:
+    """Return the settings by which it is taught and tried alone in turn; nothing is forced when it is alone."""
+    part = machine.taught // BLOCKS
+    at, entries = 0, []
+    for block in range(BLOCKS):
+        entries.append(f'{{start={at}, name="taught {block + 1}", teacher="one", language="{machine.language}"}}')
+        at += part + (machine.forced if block == 0 else 0)
+        entries.append(f'{{start={at}, name="{ALONE} {block + 1}"}}')
+        at += machine.last if block == BLOCKS - 1 else machine.tried
+    phases = f"teacher.phase=[{', '.join(entries)}]"
+    return f"experiment.iterations={at}", f"optimizer.random_iterations={machine.forced}", phases, *machine.settings
+
+
+def scores(record: RunRecord, span: Span) -> NDArray[np.float32]:
+    """Return the scores (episodes,) of the episodes within a phase; of a machine that is in no table none."""
+    machine = BY_FILE.get(record.experiment.brain.experiment.name)
+    if machine is None or machine.score is None:
+        return np.zeros(0, np.float32)
+    inside = (e for e in record.episodes() if span.start <= e.start and e.start + e.steps <= span.stop)
+    return np.array([machine.score(episode) for episode in inside], dtype=np.float32)
