@@ -28,7 +28,7 @@ def begin(folder: Path, like: str) -> list[Path]:
     module = module if module[:1].isalpha() else f"robot_{module}"
     kind, _, which = like.partition(":")
     if kind == GYMNASIUM and which:
-        files = _environment(which, name, module)
+        files = _environment(which, name, module, folder)
     elif kind in TEMPLATE_KINDS and not which:
         files = _template(kind, name, module)
     else:
@@ -43,11 +43,11 @@ def begin(folder: Path, like: str) -> list[Path]:
     return [folder / file for file in files]
 
 
-def _environment(env: str, name: str, module: str) -> Files:
+def _environment(env: str, name: str, module: str, folder: Path) -> Files:
     from mdb_deploy.begin import writing
     from mdb_deploy.begin.looking import look
 
-    machine = look(env)
+    machine = look(env, folder)
     file = f"{module}_teacher"
     return {
         EXPERIMENT_FILE: writing.experiment(machine, name, f"{file}:Teacher"),

@@ -6,9 +6,11 @@ Owns `Machine`, all that a file is written from. Knows nothing of the file.
 from __future__ import annotations
 
 import math
+import sys
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -74,8 +76,13 @@ class Machine:
     image: bool
 
 
-def look(env: str) -> Machine:
-    """Return what a Gymnasium environment is as a robot; MdbError tells why it can be none, and what would do."""
+def look(env: str, folder: Path) -> Machine:
+    """Return what a Gymnasium environment is as a robot; MdbError tells why it can be none, and what would do.
+
+    A module that registers it may lie in the folder, where it is found again when the experiment is run.
+    """
+    if str(folder.resolve()) not in sys.path:
+        sys.path.append(str(folder.resolve()))
     names = names_of(env)
     try:
         try:
@@ -92,14 +99,13 @@ def look(env: str) -> Machine:
 
 def _mended(reason: str) -> str:
     """Add what to do where an environment itself is not to be had."""
-    for word, extra in (("box2d", "gymnasium[box2d]"), ("mujoco", "gymnasium[mujoco]"), ("jax", "gymnasium[jax]")):
-        if word in reason.lower() and "No module" in reason:
-            return f"{reason}; pip install '{extra}'"
     if "doesn't exist" in reason or "not found" in reason.lower():
         return (
-            f"{reason} `python -c 'import gymnasium; gymnasium.pprint_registry()'` lists those that there are; one \
-of another package is named 'PACKAGE:NAME'"
+            f"{reason} `python -c 'import gymnasium; gymnasium.pprint_registry()'` lists those that there are; one "
+            "that a module of yours registers is named 'gymnasium:MODULE:ENV'"
         )
+    if "No module named" in reason:
+        return f"{reason}; install it, or put it into the folder if it is yours"
     return reason
 
 

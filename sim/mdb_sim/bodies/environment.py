@@ -7,6 +7,7 @@ the scene, for measurements; neither brain nor teacher is given it.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -202,7 +203,9 @@ class GymnasiumBody(Resting):
 def _made(env: str, make: dict[str, Any]) -> gymnasium.Env[Any, Any]:
     """Make an environment that can show images, or else one that cannot; BodyError tells why there is none."""
     try:
-        return gymnasium.make(env, **({"render_mode": "rgb_array"} | make))
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*render_mode")  # one that cannot will do
+            return gymnasium.make(env, **({"render_mode": "rgb_array"} | make))
     except Exception:  # it is asked again without; environments of others raise what they like
         try:
             return gymnasium.make(env, **make)

@@ -142,10 +142,10 @@ def ends(leaf: Leaf, limit: float) -> tuple[Doubles, Doubles]:
 
 def combinations(found: tuple[Leaf, ...]) -> list[tuple[float, ...]]:
     """Return all actions there are, in order, if each number is one of some things and they are few; else none."""
+    if not all(leaf.index or (leaf.whole and leaf.low.min() == 0 and leaf.high.max() == 1) for leaf in found):
+        return []
     values = [range(int(leaf.low[i]), int(leaf.high[i]) + 1) for leaf in found for i in range(leaf.numbers)]
-    countable = all(leaf.index or (leaf.whole and leaf.low.min() == 0 and leaf.high.max() == 1) for leaf in found)
-    count = np.prod([float(len(each)) for each in values])
-    if not countable or count > (MOST_NUMBERS if len(values) == 1 else MOST_CHOICES):
+    if np.prod([float(len(each)) for each in values]) > (MOST_NUMBERS if len(values) == 1 else MOST_CHOICES):
         return []
     return [tuple(map(float, each)) for each in product(*values)]
 
