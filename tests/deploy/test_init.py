@@ -11,8 +11,10 @@ gymnasium = pytest.importorskip("gymnasium")
 from mdb_deploy import Run, run  # noqa: E402
 from mdb_deploy.begin.folder import TEMPLATE_KINDS, begin  # noqa: E402
 from mdb_deploy.cli.main import main  # noqa: E402
+from mdb_deploy.experiments import EXPERIMENTS  # noqa: E402
 from mdb_protocol.errors import MdbError  # noqa: E402
 from mdb_sim.body import BodyError  # noqa: E402
+from mdb_sim.runs.experiment import Experiment  # noqa: E402
 from tests.deploy import spaces  # noqa: E402
 
 spaces.register()
@@ -111,6 +113,14 @@ def test_a_template_s_robot_acts_by_what_it_was_taught(kind: str, tmp_path: Path
     table = done.iterations
     assert np.isfinite(table["feedback"]).all()
     assert np.nanmean(table["feedback"][100:]) > np.nanmean(table["feedback"][:60]) + 0.2
+
+
+def test_a_ros2_robot_s_file_is_the_shipped_one_under_another_name(tmp_path: Path) -> None:
+    if not (EXPERIMENTS / "ros2.toml").exists():
+        pytest.skip("no ros2.toml is shipped")
+    (path,) = begin(tmp_path / "turtle", "ros2")
+    section = Experiment.read(path).brain.experiment
+    assert (section.name, section.brain) == ("turtle", "turtle")
 
 
 @pytest.mark.parametrize("seen", [*spaces.SEEN.values(), *spaces.DONE.values()], ids=str)

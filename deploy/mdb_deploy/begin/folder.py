@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from mdb_deploy.experiments import EXPERIMENTS
 from mdb_protocol.errors import MdbError
 from mdb_services.experiment.brain import EXPERIMENT_FILE
 
 TEMPLATES = Path(__file__).parent / "templates"
 GYMNASIUM = "gymnasium"
-TEMPLATE_KINDS = ("arm", "wheeled")
+TEMPLATE_KINDS = ("arm", "wheeled", "wire")
+ROS2 = "ros2"
+WIRE, WHEELED = "wire", "wheeled"
 NAME = "NAME"
 """Stands in a template's text, and in its files' names, for the experiment's name as Python writes it."""
 
@@ -30,9 +33,11 @@ def begin(folder: Path, like: str) -> list[Path]:
     if kind == GYMNASIUM and which:
         files = _environment(which, name, module, folder)
     elif kind in TEMPLATE_KINDS and not which:
-        files = _template(kind, name, module)
+        files = _wire(name, module) if kind == WIRE else _template(kind, name, module)
+    elif like == ROS2:
+        files = _ros2(name)
     else:
-        kinds = ", ".join((f"{GYMNASIUM}:ENV (as {GYMNASIUM}:CartPole-v1)", *TEMPLATE_KINDS))
+        kinds = ", ".join((f"{GYMNASIUM}:ENV (as {GYMNASIUM}:CartPole-v1)", *TEMPLATE_KINDS, ROS2))
         raise MdbError(f"--like {like!r} is no kind of robot; expected one of {kinds}")
     there = [file for file in files if (folder / file).exists()]
     if there:
@@ -52,6 +57,23 @@ def _environment(env: str, name: str, module: str, folder: Path) -> Files:
     return {
         EXPERIMENT_FILE: writing.experiment(machine, name, f"{file}:Teacher"),
         f"{file}.py": writing.teacher(machine),
+    }
+
+
+def _wire(name: str, module: str) -> Files:
+    """Return the wheeled robot, in a process of its own."""
+    files = _template(WHEELED, name, module) | _template(WIRE, name, module)
+    whole, wire = "The whole: mdb up FOLDER.", f"Its own process: mdb up FOLDER --no-robot, python {module}_robot.py."
+    return files | {EXPERIMENT_FILE: files[EXPERIMENT_FILE].replace(whole, wire)}
+
+
+def _ros2(name: str) -> Files:
+    """Return the shipped experiment of a ROS 2 robot, under another name."""
+    path = EXPERIMENTS / f"{ROS2}.toml"
+    if not path.exists():
+        raise MdbError(f"--like {ROS2}: the shipped experiments are not here ({path}); use a checkout of the project")
+    return {
+        EXPERIMENT_FILE: re.sub(rf'^(name|brain) = "{ROS2}"$', rf'\1 = "{name}"', path.read_text("utf-8"), flags=re.M)
     }
 
 

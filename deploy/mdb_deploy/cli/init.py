@@ -10,8 +10,15 @@ from mdb_deploy.cli.options import Commands
 
 LIKE = (
     "gymnasium:ENV, any Gymnasium environment (gymnasium:CartPole-v1; gymnasium:PACKAGE:ENV for one that a package "
-    "registers); arm: a planar arm that reaches; wheeled: a robot on two wheels that goes to a light"
+    "registers); arm: a planar arm that reaches; wheeled: a robot on two wheels that goes to a light; wire: that one "
+    "as a program of its own, for --no-robot; ros2: a robot that speaks ROS 2"
 )
+
+PARTS = {
+    "teacher": "what is wanted of the robot, and how good what it did was: make it yours",
+    "body": "the robot",
+    "robot": "the robot as a program of its own",
+}
 
 
 def add(commands: Commands) -> None:
@@ -34,14 +41,11 @@ def _init(arguments: argparse.Namespace) -> int:
     experiment, *others = begin(arguments.folder, arguments.like)
     sys.stdout.write(f"{experiment}: the experiment; read it first\n")
     for path in others:
-        what = (
-            "what is wanted of the robot, and how good it was: make it yours"
-            if "teacher" in path.name
-            else "the robot"
-        )
-        sys.stdout.write(f"{path}: {what}\n")
-    sys.stdout.write(
-        f"next: mdb up {arguments.folder} --inline --iterations 300    (a quick try in one process)\n"
-        f"      mdb up {arguments.folder}                              (the whole, in processes)\n"
-    )
+        sys.stdout.write(f"{path}: {PARTS[path.stem.rpartition('_')[2]]}\n")
+    sys.stdout.write(f"next: mdb up {arguments.folder} --inline --iterations 300    (a quick try in one process)\n")
+    robots = [path for path in others if path.stem.endswith("_robot")]
+    for robot in robots:
+        sys.stdout.write(f"      mdb up {arguments.folder} --no-robot, and in another terminal: python {robot}\n")
+    if not robots:
+        sys.stdout.write(f"      mdb up {arguments.folder}                              (the whole, in processes)\n")
     return 0
