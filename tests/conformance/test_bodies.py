@@ -86,6 +86,7 @@ class TestPendulum(BodyConformance):
 
 class TestFrozenLake(BodyConformance):
     options = {"env": "FrozenLake-v1"}  # noqa: RUF012
+    random = False
 
     def make(self):
         pytest.importorskip("gymnasium")
