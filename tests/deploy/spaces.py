@@ -28,6 +28,7 @@ SEEN: dict[str, spaces.Space[Any]] = {
     "Grid": spaces.Box(0, 10, (7, 7, 3), np.uint8),
     "Many": spaces.Discrete(500),
 }
+SEEN["Words"] = spaces.Dict({"motor": NUMBERS, "note": spaces.Discrete(3), "reward": NUMBERS, "0": NUMBERS})
 DONE: dict[str, spaces.Space[Any]] = {
     "Start": spaces.Discrete(3, start=2),
     "MultiDiscrete": spaces.MultiDiscrete([2, 3]),
@@ -36,6 +37,9 @@ DONE: dict[str, spaces.Space[Any]] = {
     "Square": spaces.Box(-2.0, 3.0, (2, 2), F),
     "Endless": spaces.Box(-np.inf, np.inf, (2,), F),
     "Whole": spaces.Box(0, 5, (1,), np.int64),
+    "Words": spaces.Dict(
+        {"gas": spaces.Box(0.0, 1.0, (1,), F), "feedback": spaces.Discrete(2), "observation_1": TWO}
+    ),
     "Mixed": spaces.Dict({"gear": spaces.Discrete(3), "gas": spaces.Box(0.0, 1.0, (1,), F)}),
 }
 REFUSED: dict[str, tuple[spaces.Space[Any], spaces.Space[Any], str]] = {
@@ -45,6 +49,7 @@ REFUSED: dict[str, tuple[spaces.Space[Any], spaces.Space[Any], str]] = {
     "States": (spaces.Discrete(5000), TWO, "a Discrete of 5000 values, among which nothing tells which are alike"),
     "Long": (spaces.Box(-1.0, 1.0, (5000,), F), TWO, "has 5000 numbers; expected at most 1024"),
     "One": (NUMBERS, spaces.Discrete(1), "there is one action only"),
+    "Name": (spaces.Dict({"a" * 70: TWO}), TWO, "has a name of 70 letters"),
     "Keys": (spaces.Dict({"a.b": TWO, "a/b": TWO}), TWO, "names that are the same when written in plain letters"),
 }
 

@@ -17,9 +17,8 @@ import numpy as np
 from mdb_deploy.begin.known import Names, names_of
 from mdb_protocol.errors import MdbError
 from mdb_protocol.messages import NOTHING, VALUE_BOUND
-from mdb_services.mechanism.networks.encoding import DERIVED, NOT_SENSED
-from mdb_sim.bodies.environment import MOTOR, OBSERVATION, REWARD, GymnasiumBody
-from mdb_sim.bodies.spaces import Leaf, leaves
+from mdb_sim.bodies.environment import REWARD, GymnasiumBody
+from mdb_sim.bodies.spaces import Leaf
 from mdb_sim.body import Actuator, BodyError, Numbers, Sensor, Spec
 
 ACTIONS = 600
@@ -110,17 +109,15 @@ def _mended(reason: str) -> str:
 
 
 def _machine(env: str, body: GymnasiumBody, names: Names) -> Machine:
-    seen = leaves(body.env.observation_space, OBSERVATION, body.grid)
-    done = leaves(body.env.action_space, MOTOR)
-    spec = body.spec
+    seen, done, spec = body.seen, body.done, body.spec
     if len(spec.choices) == 1:
         raise MdbError(f"{env}: there is one action only, so that nothing can be learnt; give another environment")
     image = any(leaf.shape is not None for leaf in seen)
     named = bool(names.numbers) or (not image and 1 < sum(leaf.numbers for leaf in seen) <= NAMED_APART)
-    own = names.numbers or tuple(_usable(name) for leaf in seen for name in leaf.names)
-    if named or any(_usable(sensor.name) != sensor.name for sensor in spec.sensors):
+    if named and not names.numbers:
         body.close()
-        named, body = True, GymnasiumBody(env, names=own, actuators=names.actuators)
+        own = tuple(name for leaf in seen for name in leaf.names)
+        body = GymnasiumBody(env, names=own, actuators=names.actuators)
     values, rewards, last = _act(body, OF_IMAGES if image else ACTIONS)
     sensors = body.spec.sensors
     kinds = [leaf for leaf in seen for _ in range(leaf.numbers)] if named else list(seen)
@@ -140,11 +137,6 @@ def _machine(env: str, body: GymnasiumBody, names: Names) -> Machine:
         _reward(rewards, last),
         image,
     )
-
-
-def _usable(name: str) -> str:
-    """Return a name for a sensor that means nothing else already."""
-    return f"seen_{name}" if name in NOT_SENSED or name.startswith(DERIVED) or not name[:1].isalpha() else name
 
 
 def _act(body: GymnasiumBody, actions: int) -> tuple[dict[str, list[float]], list[float], list[float]]:

@@ -17,7 +17,18 @@ import numpy as np
 
 from mdb_protocol.messages import MAX_IMAGE, VALUE_BOUND
 from mdb_services.mechanism.networks import streams
-from mdb_sim.bodies.spaces import MOST_ACTUATORS, MOST_GRID, Leaf, combinations, ends, leaves, numbers_of, value_of
+from mdb_services.mechanism.networks.encoding import NOT_SENSED
+from mdb_sim.bodies.spaces import (
+    MOST_ACTUATORS,
+    MOST_GRID,
+    Leaf,
+    apart,
+    combinations,
+    ends,
+    leaves,
+    numbers_of,
+    value_of,
+)
 from mdb_sim.body import NOTHING, Actuator, BodyError, Numbers, Outcome, Reading, Resting, Sensor, Spec, check
 
 OBSERVATION = "observation"
@@ -41,13 +52,13 @@ class _State(msgspec.Struct, frozen=True):
 
 
 class GymnasiumBody(Resting):
-    """See the module's docstring.
+    """See the module's docstring. `env`, `seen` and `done` are the environment, and what it gives and takes.
 
     env: its id, with `make` passed to `gymnasium.make`. names: of the observation's numbers, each a sensor then;
-    without, each of its spaces is one, by its key. actuators: names, one for each number of an action.
-    terminated, truncated: the events' words. repeat: an action is held for so many steps of the environment.
-    limit: an actuator whose range has no end goes to ±limit. grid: an image is seen as so many rows and columns of
-    grey.
+    without, each of its spaces is one, by its key; with "seen_" before it where the name means something else.
+    actuators: names, one for each number of an action. terminated, truncated: the events' words. repeat: an action is
+    held for so many steps of the environment. limit: an actuator whose range has no end goes to ±limit. grid: an image
+    is seen as so many rows and columns of grey.
     """
 
     def __init__(
@@ -72,10 +83,13 @@ class GymnasiumBody(Resting):
         self.env, self.grid = _made(env, dict(make or {})), grid
         self._events, self._repeat = (terminated, truncated), repeat
         try:
-            self._seen = leaves(self.env.observation_space, OBSERVATION, grid)
-            self._done = leaves(self.env.action_space, MOTOR)
+            self.done = apart(leaves(self.env.action_space, MOTOR), NOT_SENSED, "do")
+            told = actuators or tuple(name for leaf in self.done for name in leaf.names)
+            self.seen = apart(
+                leaves(self.env.observation_space, OBSERVATION, grid), {*NOT_SENSED, *told, REWARD}, "seen"
+            )
             self._names, self._spec = _spec(
-                self._seen, self._done, tuple(names), tuple(actuators), events=self._events, limit=limit
+                self.seen, self.done, tuple(names), tuple(actuators), events=self._events, limit=limit
             )
         except BodyError as error:
             self.env.close()
@@ -183,7 +197,7 @@ class GymnasiumBody(Resting):
         if self._named:
             return dict(zip(self._names, plain, strict=True))
         reading: Reading = {}
-        for leaf in self._seen:
+        for leaf in self.seen:
             mine, plain = plain[: leaf.numbers], plain[leaf.numbers :]
             reading[leaf.name] = mine if leaf.numbers > 1 else mine[0]
         return reading

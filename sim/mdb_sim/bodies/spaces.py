@@ -7,8 +7,8 @@ Owns what of Gymnasium's spaces can be a body's sensors and actuators, and the w
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -24,6 +24,8 @@ MOST_NUMBERS = 1024
 MOST_CHOICES = 64
 """Combinations of several Discretes that are listed as choices, all of which are tried; more are searched."""
 MOST_ACTUATORS = 256
+MOST_LETTERS = 58
+"""In a name, so that there is room for a prefix."""
 MOST_GRID = 32
 """Rows and columns that an image is seen as, at most."""
 WRAP = "a gymnasium.Wrapper of yours, registered as an environment, can make it one"
@@ -66,7 +68,17 @@ def leaves(space: spaces.Space[Any], name: str, grid: int | None = None) -> tupl
     names = [leaf.name for leaf in found]
     if len(set(names)) < len(names):
         raise BodyError(f"{space} has names that are the same when written in plain letters: {', '.join(names)}")
+    if len(longest := max((each for leaf in found for each in leaf.names), key=len, default="")) > MOST_LETTERS:
+        raise BodyError(f"{space} has a name of {len(longest)} letters, {longest}; expected at most {MOST_LETTERS}")
     return found
+
+
+def apart(found: tuple[Leaf, ...], taken: Collection[str], prefix: str) -> tuple[Leaf, ...]:
+    """Return leaves of which none has a name that is taken: with a prefix where it was."""
+    return tuple(
+        replace(leaf, name=f"{prefix}_{leaf.name}") if {leaf.name, *leaf.names} & set(taken) else leaf
+        for leaf in found
+    )
 
 
 def _leaves(space: spaces.Space[Any], path: str, name: str, grid: int | None) -> Iterator[Leaf]:
