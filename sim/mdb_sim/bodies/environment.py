@@ -57,8 +57,8 @@ class GymnasiumBody(Resting):
     env: its id, with `make` passed to `gymnasium.make`. names: of the observation's numbers, each a sensor then;
     without, each of its spaces is one, by its key; with "seen_" before it where the name means something else.
     actuators: names, one for each number of an action. terminated, truncated: the events' words. repeat: an action is
-    held for so many steps of the environment. limit: an actuator whose range has no end goes to ±limit. grid: an image
-    is seen as so many rows and columns of grey.
+    held for so many steps of the environment. limit: an actuator whose range has no end goes to ±limit. grid: an
+    image is seen as so many rows and columns of grey.
     """
 
     def __init__(
