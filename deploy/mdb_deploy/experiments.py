@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mdb_services.experiment.brain import EXPERIMENT_FILE
+
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
 
 def experiment_path(name: str) -> Path:
-    """Return the path of an experiment file, or of a shipped one by its name."""
+    """Return the path of an experiment file, of the one in a folder, or of a shipped one by its name."""
     shipped = EXPERIMENTS / f"{name}.toml"
+    if Path(name).is_dir():
+        return Path(name) / EXPERIMENT_FILE
     return shipped if shipped.exists() and not Path(name).exists() else Path(name)

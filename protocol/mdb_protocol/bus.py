@@ -247,14 +247,19 @@ def read(row: Key, brain: str, raw: Raw) -> Message:
 
     A message that names its teacher or model must lie on the key of that teacher or model.
     """
+    if row.message is not None and (size := size_of(raw)) > row.most_bytes:
+        raise DecodeError(f"sample of {size} bytes; at most {row.most_bytes} are read")
+    return read_as(codec.decode, row, brain, raw)
+
+
+def read_as(decode: Callable[[type[Message], bytes, str], Message], row: Key, brain: str, raw: Raw) -> Message:
+    """Do as `read` with a sample of any size, in the form that `decode` reads."""
     if row.message is None:
         raise DecodeError(f"key {row.path} carries no payload")
-    if (size := size_of(raw)) > row.most_bytes:
-        raise DecodeError(f"sample of {size} bytes; at most {row.most_bytes} are read")
     parameters = row.match(brain, raw.key)
     if parameters is None:
         raise DecodeError(f"sample on {raw.key!r}; expected a concrete key of {row.path!r}")
-    message = codec.decode(row.message, raw.payload, raw.encoding)
+    message = decode(row.message, raw.payload, raw.encoding)
     for name, value in parameters.items():
         said = getattr(message, name, value)
         if said != value:

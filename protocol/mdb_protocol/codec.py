@@ -6,7 +6,7 @@ with the path of what is wrong; it never returns a half-valid message.
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import msgpack
 import msgspec
@@ -45,15 +45,20 @@ def decode(message_type: type[M], payload: bytes, encoding: str) -> M:
 
     Raises `DecodeError` when the encoding names another type or version, or the bytes are not it.
     """
-    if encoding != encoding_of(message_type) and not _is_alike(encoding, message_type):
-        raise DecodeError(f"encoding is {encoding!r}; expected {encoding_of(message_type)!r}")
+    check_encoding(message_type, encoding)
     if len(payload) > MAX_BYTES:
         raise DecodeError(f"payload has {len(payload)} bytes; at most {MAX_BYTES} are accepted")
     try:
-        plain = _unpack(payload)
+        plain = unpack(payload)
         return msgspec.convert(plain, message_type, dec_hook=_dec_hook)
     except (msgspec.ValidationError, msgpack.UnpackException, ValueError, TypeError, RecursionError) as error:
         raise DecodeError(f"not a valid {message_type.__name__}: {error}") from error
+
+
+def check_encoding(message_type: type[Message], encoding: str) -> None:
+    """Raise `DecodeError` unless an encoding is that of a message type, in this version or one alike."""
+    if encoding != encoding_of(message_type) and not _is_alike(encoding, message_type):
+        raise DecodeError(f"encoding is {encoding!r}; expected {encoding_of(message_type)!r}")
 
 
 def _is_alike(encoding: str, message_type: type[Message]) -> bool:
@@ -63,7 +68,8 @@ def _is_alike(encoding: str, message_type: type[Message]) -> bool:
     return minor.isdecimal() and encoding == f"{before}={VERSION}.{minor}{after}"
 
 
-def _unpack(payload: bytes) -> Any:
+def unpack(payload: bytes) -> Any:
+    """Return what MessagePack bytes hold, arrays in it, as no message yet; ValueError and msgpack's when nothing."""
     left = MAX_VALUES
 
     def count(items: Any) -> Any:
@@ -111,7 +117,7 @@ def _ext_hook(code: int, data: bytes) -> Any:
     if not (isinstance(parts, list) and len(parts) == 3):
         raise ValueError("an array is [dtype, shape, bytes]")
     dtype, shape, raw = parts
-    if dtype not in DTYPES or not isinstance(raw, bytes) or not _is_shape(shape):
+    if dtype not in DTYPES or not isinstance(raw, bytes) or not is_shape(shape):
         raise ValueError(f"array header {dtype!r}, {shape!r} is not one of {DTYPES} with a shape")
     array = np.frombuffer(raw, dtype=dtype)
     size = 1
@@ -122,7 +128,8 @@ def _ext_hook(code: int, data: bytes) -> Any:
     return array.reshape(shape)
 
 
-def _is_shape(shape: Any) -> bool:
+def is_shape(shape: Any) -> TypeGuard[list[int]]:
+    """Whether something that came is the shape of an array: 1 to 4 lengths."""
     return (
         isinstance(shape, list)
         and 1 <= len(shape) <= 4

@@ -1,8 +1,9 @@
 """The recorder: every message of a run into its run folder, as it came; what is none is counted. Only listens.
 
 Owns `run.mcap`, with the resolved experiment and all versions in its metadata. It is written without chunks
-and flushed as it goes, so that what was recorded can be read after a kill. `read_log` is the other half: the
-messages of a run, decoded; figures and comparisons use it alone.
+and flushed as it goes, so that what was recorded can be read after a kill. Messages are in it as JSON, each channel
+with its schema, so that any reader of MCAP can read them; exactly, see `as_json`. `read_log` is the other half: the
+messages of a run, decoded; figures and comparisons use it alone. It also reads the logs of before, in MessagePack.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from typing import IO, NamedTuple
 import structlog
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
+from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
-from mdb_protocol import keys
-from mdb_protocol.bus import TAPPED, Bus, Raw, read
-from mdb_protocol.codec import VERSION
+from mdb_protocol import as_json, codec, keys
+from mdb_protocol.bus import TAPPED, Bus, Raw, read, read_as
 from mdb_protocol.errors import DecodeError, MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
@@ -44,7 +45,7 @@ DAMAGE = (McapError, EOFError, struct.error, ValueError, LookupError, OverflowEr
 
 def versions() -> dict[str, str]:
     """Return what made a run: the versions of Python, protocol, and every package of the project."""
-    found = {"python": platform.python_version(), "protocol": str(VERSION), "machine": platform.machine()}
+    found = {"python": platform.python_version(), "protocol": str(codec.VERSION), "machine": platform.machine()}
     for package in PACKAGES:
         with suppress(metadata.PackageNotFoundError):
             found[package] = metadata.version(package)
@@ -74,7 +75,7 @@ class Recorder:
         self._file = path.open("xb")
         try:
             self._writer = Writer(self._file, use_chunking=False)
-            self._writer.start(profile="mdb", library=f"mdb protocol {VERSION}")
+            self._writer.start(profile="mdb", library=f"mdb protocol {codec.VERSION}")
             self._writer.add_metadata("versions", versions())
             experiment = self._run / EXPERIMENT_FILE
             if experiment.exists():
@@ -84,7 +85,7 @@ class Recorder:
         except OSError:
             path.unlink()
             raise
-        self._channels: dict[tuple[str, str], int] = {}
+        self._channels = Channels(self._writer)
 
     def _end(self) -> None:
         assert self._file is not None
@@ -95,26 +96,24 @@ class Recorder:
         """Write what has come."""
         moved = False
         for raw in self._tap.some():
-            if self._belongs(raw):
-                self._try(lambda raw=raw: self._write(raw))  # type: ignore[misc]
+            if (message := self._read(raw)) is not None:
+                self._try(lambda raw=raw, message=message: self._write(raw, message))  # type: ignore[misc]
             moved = True
         if self._unflushed:  # a kill then costs what has not come to this process yet, and nothing more
             self._try(self._flush)
         return moved
 
-    def _belongs(self, raw: Raw) -> bool:
-        """Whether a sample belongs in the log; junk, which would fill the disk, does not."""
+    def _read(self, raw: Raw) -> Message | None:
+        """Return the message if it belongs in the log; junk, which would fill the disk, does not."""
         row = keys.find(self.bus.brain, raw.key)
         if row is None:
             self.bus.refusals.add(TAPPED, f"sample on {raw.key[:200]!r}, which is none of the brain's keys")
-            return False
+            return None
         try:
-            if row.recorded:
-                read(row, self.bus.brain, raw)
+            return read(row, self.bus.brain, raw) if row.recorded else None
         except DecodeError as error:
             self.bus.refusals.add(row.path, str(error))
-            return False
-        return row.recorded
+            return None
 
     def _try(self, write: Callable[[], None]) -> None:
         """Write, unless the disk takes nothing: then say so once, count what is lost, later begin a new segment."""
@@ -150,24 +149,19 @@ class Recorder:
         self._file.flush()
         self._unflushed = 0
 
-    def _write(self, raw: Raw) -> None:
-        if (raw.key, raw.encoding) not in self._channels:
-            if len(self._channels) == MAX_CHANNELS:
-                self._end()
-                self._begin()
-            schema = self._writer.register_schema(raw.encoding.rpartition(";")[2], "mdb", b"")
-            metadata = {"encoding": raw.encoding}
-            channel = self._writer.register_channel(raw.key, "msgpack", schema, metadata)
-            self._channels[raw.key, raw.encoding] = channel
-        now = time.time_ns()
+    def _write(self, raw: Raw, message: Message) -> None:
+        if self._channels.full_for(raw.key, raw.encoding):
+            self._end()
+            self._begin()
+        text, now = as_json.encode(message, raw.payload), time.time_ns()
         self._unflushed += 1
-        channel = self._channels[raw.key, raw.encoding]
-        self._writer.add_message(channel, now, raw.payload, now, sequence=self._count)
+        channel = self._channels.of(raw.key, type(message), raw.encoding)
+        self._writer.add_message(channel, now, text, now, sequence=self._count)
         self._count += 1
-        self._bytes += len(raw.payload)
+        self._bytes += len(text)
 
     def values(self) -> dict[str, float]:
-        """Messages and payload bytes written, messages that the disk did not take, and whether it takes none now."""
+        """Messages and their bytes written, messages that the disk did not take, and whether it takes none now."""
         counts = {"messages": float(self._count), "bytes": float(self._bytes), "lost": float(self._lost)}
         return counts | {"disk_refuses": float(self._retry_s > 0)}
 
@@ -177,6 +171,31 @@ class Recorder:
             pass
         if self._file is not None:
             self._try(self._end)
+
+
+class Channels:
+    """The channels of a log file: one for each key and each encoding that messages on it had on the network."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._schemas: dict[type[Message], int] = {}
+        self._channels: dict[tuple[str, str], int] = {}
+
+    def full_for(self, key: str, encoding: str) -> bool:
+        """Whether there is no room for another channel, which these would need."""
+        return len(self._channels) >= MAX_CHANNELS and (key, encoding) not in self._channels
+
+    def of(self, key: str, message: type[Message], encoding: str) -> int:
+        """Return the channel's number; it is begun when it is new."""
+        if (key, encoding) not in self._channels:
+            if message not in self._schemas:
+                schema = as_json.schema_of(message)
+                number = self._writer.register_schema(message.__name__, SchemaEncoding.JSONSchema, schema)
+                self._schemas[message] = number
+            self._channels[key, encoding] = self._writer.register_channel(
+                key, MessageEncoding.JSON, self._schemas[message], {"encoding": encoding}
+            )
+        return self._channels[key, encoding]
 
 
 class Recorded(NamedTuple):
@@ -220,9 +239,10 @@ def _read_segment(path: Path) -> Iterator[Recorded]:
                 brain, row = rows[channel.topic]
                 if row is None:
                     continue
+                decode = as_json.decode if channel.message_encoding == MessageEncoding.JSON else codec.decode
                 raw = Raw(channel.topic, sample.data, channel.metadata.get("encoding", ""))
                 try:
-                    yield Recorded(row, raw.key, read(row, brain, raw), sample.log_time / 1e9)
+                    yield Recorded(row, raw.key, read_as(decode, row, brain, raw), sample.log_time / 1e9)
                 except DecodeError:
                     continue
         except DAMAGE as error:

@@ -84,6 +84,35 @@ class TestPendulum(BodyConformance):
         return make_body("gymnasium", self.options)
 
 
+class TestFrozenLake(BodyConformance):
+    options = {"env": "FrozenLake-v1"}  # noqa: RUF012
+    random = False
+
+    def make(self):
+        pytest.importorskip("gymnasium")
+        return make_body("gymnasium", self.options)
+
+
+class TestSeveralSpaces(BodyConformance):
+    """A Dict of observations, one of them endless, and actions of which some are whole numbers."""
+
+    def make(self):
+        pytest.importorskip("gymnasium")
+        from tests.deploy import spaces
+
+        spaces.register()
+        return make_body("gymnasium", {"env": "SeeStacked-v0", "grid": 6})
+
+
+class TestMixedActions(BodyConformance):
+    def make(self):
+        pytest.importorskip("gymnasium")
+        from tests.deploy import spaces
+
+        spaces.register()
+        return make_body("gymnasium", {"env": "DoMixed-v0"})
+
+
 class TestKinematicPioneer(PioneerConformance):
     def make(self, **options):
         return make_body("kinematic", options)

@@ -9,7 +9,7 @@ from typing import TextIO, cast
 
 import structlog
 
-from mdb_deploy.cli import change, chaos, check, keys, ltm, past, plot, run, status, study, teach, up
+from mdb_deploy.cli import change, chaos, check, init, keys, ltm, past, plot, run, status, study, teach, up
 from mdb_protocol.errors import MdbError
 
 EPILOG = """\
@@ -18,11 +18,12 @@ first steps:
   mdb up --pace lockstep --seed 3         the same, repeatable value by value
   mdb up --inline --iterations 600        in one process, without a router
   mdb up my.toml --set evolution.population=400 --set robot.body=kinematic
+  mdb init my-robot --like gymnasium:CartPole-v1, then mdb up my-robot: a robot of your own
   mdb up --no-teacher                     you teach, with 'mdb teach' in another terminal
   mdb status                              who is alive, and how each process does
   mdb plot RUN                            the figures again, from the run's log alone
 """
-ORDER = (up, teach, change, status, plot, study, ltm, past, keys, chaos, check, run)
+ORDER = (up, init, teach, change, status, plot, study, ltm, past, keys, chaos, check, run)
 """The commands, as `mdb --help` lists them."""
 
 

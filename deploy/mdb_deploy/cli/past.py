@@ -1,4 +1,4 @@
-"""`mdb replay` and `mdb rescue`: a run of before, said again or saved."""
+"""`mdb export`, `mdb replay` and `mdb rescue`: a run of before, as tables, said again, or saved."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from mdb_deploy.cli.options import Commands
 
 
 def add(commands: Commands) -> None:
-    """Add `replay` and `rescue`."""
+    """Add `export`, `replay` and `rescue`."""
+    export = commands.add_parser("export", help="a run's tables as Parquet or CSV: pairs, iterations, models, ...")
+    export.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    export.add_argument("--to", choices=["parquet", "csv"], default="csv", help="kind of file (%(default)s)")
+    export.add_argument("--out", type=Path, metavar="FOLDER", help="where (RUN/tables)")
+    export.set_defaults(command=_export)
     replay = commands.add_parser(
         "replay",
         help="replay services of a recorded run alone against its log",
@@ -27,6 +32,14 @@ def add(commands: Commands) -> None:
     rescue.add_argument("run", type=Path, metavar="RUN", help="run folder, in which nothing is changed")
     rescue.add_argument("--out", type=Path, required=True, metavar="NEW", help="the new one, for 'mdb up --resume'")
     rescue.set_defaults(command=_rescue)
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.runs.python import Run
+
+    for path in Run(arguments.run).export(arguments.to, arguments.out):
+        sys.stdout.write(f"{path}\n")
+    return 0
 
 
 def _replay(arguments: argparse.Namespace) -> int:

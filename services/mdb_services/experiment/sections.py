@@ -53,7 +53,7 @@ class ChannelSection(Section, frozen=True, kw_only=True):
     encoding: Encoding = "scalar"
     low: float = -1.0
     high: float = 1.0
-    size: Annotated[int, Meta(ge=0, le=128)] = 0
+    size: Annotated[int, Meta(ge=0, le=MOST_NUMBERS)] = 0
     values: tuple[float, ...] = ()
     numbers: Annotated[int, Meta(ge=1, le=MOST_NUMBERS)] = 1
     by: str | None = None

@@ -1,4 +1,4 @@
-"""A Gymnasium environment as a body: any one of a Box of observations and Discrete or Box actions.
+"""A Gymnasium environment as a body: any one whose spaces have the same numbers every time (see `spaces`).
 
 Owns the way between the contract and `gymnasium.Env`. An episode's seed is a pure function of the run's seed and the
 episode's number. It goes on after a death by doing the episode's actions again. The environment's reward goes into
@@ -7,6 +7,7 @@ the scene, for measurements; neither brain nor teacher is given it.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,10 +17,26 @@ import numpy as np
 
 from mdb_protocol.messages import MAX_IMAGE, VALUE_BOUND
 from mdb_services.mechanism.networks import streams
+from mdb_services.mechanism.networks.encoding import NOT_SENSED
+from mdb_sim.bodies.spaces import (
+    MOST_ACTUATORS,
+    MOST_GRID,
+    Leaf,
+    apart,
+    combinations,
+    ends,
+    leaves,
+    numbers_of,
+    value_of,
+)
 from mdb_sim.body import NOTHING, Actuator, BodyError, Numbers, Outcome, Reading, Resting, Sensor, Spec, check
 
 OBSERVATION = "observation"
-"""The sensor when the numbers of an observation have no names: they are one vector."""
+"""The sensor when an observation is one space, and its numbers have no names: they are one vector."""
+MOTOR = "motor"
+"""The actuator when an action is one space."""
+MOST_SHOWN = 250
+"""Numbers of an observation that are in the scene."""
 REWARD = "reward"
 """The scene's number for the environment's reward of the last action."""
 LONGEST = 20_000
@@ -35,11 +52,13 @@ class _State(msgspec.Struct, frozen=True):
 
 
 class GymnasiumBody(Resting):
-    """See the module's docstring.
+    """See the module's docstring. `env`, `seen` and `done` are the environment, and what it gives and takes.
 
-    env: its id, with `make` passed to `gymnasium.make`. names: of the observation's numbers, each a sensor then.
-    actuators: names, one for Discrete, one for each number of a Box. terminated, truncated: the events' words.
-    repeat: an action is held for so many steps of the environment.
+    env: its id, with `make` passed to `gymnasium.make`. names: of the observation's numbers, each a sensor then;
+    without, each of its spaces is one, by its key; with "seen_" before it where the name means something else.
+    actuators: names, one for each number of an action. terminated, truncated: the events' words. repeat: an action is
+    held for so many steps of the environment. limit: an actuator whose range has no end goes to ±limit. grid: an
+    image is seen as so many rows and columns of grey.
     """
 
     def __init__(
@@ -47,28 +66,41 @@ class GymnasiumBody(Resting):
         env: str,
         *,
         names: Sequence[str] = (),
-        actuators: Sequence[str] = ("motor",),
+        actuators: Sequence[str] = (),
         terminated: str = "terminated",
         truncated: str = "truncated",
         repeat: int = 1,
+        limit: float = 1.0,
+        grid: int = 12,
         make: Mapping[str, Any] | None = None,
     ) -> None:
         """BodyError when the environment cannot be had, or its spaces are of another kind."""
-        if repeat < 1:
-            raise BodyError(f"robot.options.repeat is {repeat}; expected 1 or more")
-        try:
-            self._env = gymnasium.make(env, **({"render_mode": "rgb_array"} | dict(make or {})))
-        except gymnasium.error.Error as error:
-            raise BodyError(f"robot.options.env = {env!r}: {error}") from error
+        if repeat < 1 or limit <= 0.0 or not 1 <= grid <= MOST_GRID:
+            raise BodyError(
+                f"robot.options: repeat is {repeat}, limit {limit}, grid {grid}; expected repeat of 1 or more, limit "
+                f"above 0, grid of 1 to {MOST_GRID}"
+            )
+        self.env, self.grid = _made(env, dict(make or {})), grid
         self._events, self._repeat = (terminated, truncated), repeat
-        self._names, self._spec = tuple(names), _spec(self._env, tuple(names), tuple(actuators), self._events)
-        self._discrete = isinstance(self._env.action_space, gymnasium.spaces.Discrete)
+        try:
+            self.done = apart(leaves(self.env.action_space, MOTOR), NOT_SENSED, "do")
+            told = actuators or tuple(name for leaf in self.done for name in leaf.names)
+            self.seen = apart(
+                leaves(self.env.observation_space, OBSERVATION, grid), {*NOT_SENSED, *told, REWARD}, "seen"
+            )
+            self._names, self._spec = _spec(
+                self.seen, self.done, tuple(names), tuple(actuators), events=self._events, limit=limit
+            )
+        except BodyError as error:
+            self.env.close()
+            raise BodyError(f"robot.options.env = {env!r}: {error}") from error
+        self._named = bool(names)
         self._seed: int | None = None
         self._episode = 0
         self._actions: list[list[float]] = []
-        self._observation: np.ndarray = np.zeros(0)
+        self._observation: Any = None
         self._reward = 0.0
-        self._over = self._closed = False
+        self._over = self._closed = self._dark = False
 
     @property
     def spec(self) -> Spec:
@@ -81,7 +113,7 @@ class GymnasiumBody(Resting):
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64 or episode < 0:
             raise BodyError(f"seed={seed!r}, episode={episode!r}; expected ints, the seed from 0 to 2**64 - 1")
         self._seed, self._episode = seed, episode
-        self._observation, _ = self._env.reset(seed=streams.key(seed, f"episode/{episode}") % 2**31)
+        self._observation, _ = self.env.reset(seed=streams.key(seed, f"episode/{episode}") % 2**31)
         self._actions, self._reward, self._over = [], 0.0, False
         return self._reading()
 
@@ -97,10 +129,10 @@ class GymnasiumBody(Resting):
 
     def _do(self, action: list[float]) -> Outcome:
         """Hold an action."""
-        given = int(action[0]) if self._discrete else np.array(action, self._env.action_space.dtype)
+        given = value_of(self.env.action_space, iter(action))
         self._reward, event = 0.0, NOTHING
         for _ in range(self._repeat):
-            self._observation, reward, terminated, truncated, _ = self._env.step(given)
+            self._observation, reward, terminated, truncated, _ = self.env.step(given)
             self._reward += float(reward)
             if terminated or truncated:
                 self._over = True
@@ -109,17 +141,22 @@ class GymnasiumBody(Resting):
         return Outcome(event, self._reading())
 
     def scene(self) -> Numbers:
-        """See `Body.scene`: the observation's numbers, and the reward."""
+        """See `Body.scene`: the observation's numbers, the first of very many, and the reward."""
         self._begun()
-        numbers = dict(zip(_numbers(self._env, self._names), self._plain(), strict=True))
-        return {**numbers, REWARD: self._reward}
+        reward = float(np.clip(np.nan_to_num(self._reward), -VALUE_BOUND, VALUE_BOUND))
+        return {**dict(zip(self._names[:MOST_SHOWN], self._plain(), strict=False)), REWARD: reward}
 
     def image(self) -> np.ndarray | None:
         """See `Imaging.image`: the environment's own, made smaller; None without what it draws with, as pygame."""
         self._begun()
+        if self._dark:
+            return None
         try:
-            image = np.asarray(self._env.render(), dtype=np.uint8)[..., :3]
-        except gymnasium.error.DependencyNotInstalled:
+            image = np.asarray(self.env.render(), dtype=np.uint8)[..., :3]
+        except Exception:  # whatever it draws with: a missing display or library stops no robot
+            self._dark = True
+            return None
+        if image.ndim != 3:
             return None
         step = -(-max(image.shape[:2]) // MAX_IMAGE)
         return np.ascontiguousarray(image[::step, ::step])
@@ -149,17 +186,21 @@ class GymnasiumBody(Resting):
     def close(self) -> None:
         """See `Body.close`."""
         if not self._closed:
-            self._env.close()
+            self.env.close()
         self._closed = True
 
     def _plain(self) -> list[float]:
-        plain: list[float] = np.clip(np.float64(self._observation).ravel(), -VALUE_BOUND, VALUE_BOUND).tolist()
-        return plain
+        return list(numbers_of(self.env.observation_space, self._observation, self.grid))
 
     def _reading(self) -> Reading:
-        if self._names:
-            return dict(zip(self._names, self._plain(), strict=True))
-        return {OBSERVATION: self._plain()}
+        plain = self._plain()
+        if self._named:
+            return dict(zip(self._names, plain, strict=True))
+        reading: Reading = {}
+        for leaf in self.seen:
+            mine, plain = plain[: leaf.numbers], plain[leaf.numbers :]
+            reading[leaf.name] = mine if leaf.numbers > 1 else mine[0]
+        return reading
 
     def _begun(self) -> int:
         """The run's seed; an error when there is no run yet."""
@@ -173,48 +214,78 @@ class GymnasiumBody(Resting):
             raise BodyError("the environment is closed; make another one")
 
 
+def _made(env: str, make: dict[str, Any]) -> gymnasium.Env[Any, Any]:
+    """Make an environment that can show images, or else one that cannot; BodyError tells why there is none."""
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*render_mode")  # one that cannot will do
+            return gymnasium.make(env, **({"render_mode": "rgb_array"} | make))
+    except Exception:  # it is asked again without; environments of others raise what they like
+        try:
+            return gymnasium.make(env, **make)
+        except Exception as error:
+            reason = str(error) or type(error).__name__
+            raise BodyError(f"robot.options.env = {env!r} cannot be made: {reason}") from error
+
+
 def _spec(
-    env: gymnasium.Env[Any, Any], names: tuple[str, ...], actuators: tuple[str, ...], events: tuple[str, str]
-) -> Spec:
-    seen, done = env.observation_space, env.action_space
-    if not isinstance(seen, gymnasium.spaces.Box):
-        raise BodyError(f"its observations are {seen}; expected a Box; a gymnasium wrapper can make it one")
-    size = int(np.prod(seen.shape))
-    if names and len(names) != size:
-        raise BodyError(f"robot.options.names has {len(names)} names; an observation has {size} numbers")
-    low, high = (np.clip(bound.ravel(), -VALUE_BOUND, VALUE_BOUND).tolist() for bound in (seen.low, seen.high))
+    seen: tuple[Leaf, ...],
+    done: tuple[Leaf, ...],
+    names: tuple[str, ...],
+    actuators: tuple[str, ...],
+    *,
+    events: tuple[str, str],
+    limit: float,
+) -> tuple[tuple[str, ...], Spec]:
+    """Return the names of an observation's numbers, and the spec."""
+    own = tuple(name for leaf in seen for name in leaf.names)
+    if names and len(names) != len(own):
+        raise BodyError(f"robot.options.names has {len(names)} names; an observation has {len(own)} numbers")
+    sensors = tuple(sensor for leaf in seen for sensor in _sensors(leaf))
     if names:
-        sensors = tuple(Sensor(name=n, low=lo, high=hi) for n, lo, hi in zip(names, low, high, strict=True))
-    else:
-        sensors = (Sensor(name=OBSERVATION, low=min(low), high=max(high), numbers=size),)
-    made, choices = _actuators(done, actuators)
-    return Spec(
+        parts = [part for leaf in seen for part in _sensors(leaf, each=True)]
+        sensors = tuple(
+            Sensor(name=name, low=part.low, high=part.high) for name, part in zip(names, parts, strict=True)
+        )
+    made, choices = _actuators(done, actuators, limit)
+    shown = names or own
+    spec = Spec(
         sensors=sensors,
         actuators=made,
         choices=choices,
         events=events,
         final=events,
-        scene=(*_numbers(env, names), REWARD),
+        scene=(*shown[:MOST_SHOWN], REWARD),
     )
+    return shown, spec
 
 
-def _actuators(space: Any, names: tuple[str, ...]) -> tuple[tuple[Actuator, ...], tuple[Numbers, ...]]:
-    if isinstance(space, gymnasium.spaces.Discrete):
-        if len(names) != 1:
-            raise BodyError(f"robot.options.actuators is {list(names)}; a Discrete action space has one actuator")
-        first, count = int(space.start), int(space.n)
-        choices = tuple({names[0]: float(value)} for value in range(first, first + count))
-        return (Actuator(name=names[0], low=float(first), high=float(first + count - 1)),), choices
-    if not isinstance(space, gymnasium.spaces.Box):
-        raise BodyError(f"its actions are {space}; expected Discrete or Box; a gymnasium wrapper can make it one")
-    if len(names) != int(np.prod(space.shape)):
+def _sensors(leaf: Leaf, *, each: bool = False) -> list[Sensor]:
+    """Return the sensor that a leaf is, or one for each of its numbers."""
+    low, high = (np.clip(bound, -VALUE_BOUND, VALUE_BOUND).tolist() for bound in (leaf.low, leaf.high))
+    if leaf.index:
+        low, high = [0.0], [high[0] - low[0]]
+    if each:
+        bounds = zip(leaf.names, low, high, strict=True)
+        return [Sensor(name=name, low=lowest, high=highest) for name, lowest, highest in bounds]
+    return [Sensor(name=leaf.name, low=min(low), high=max(high), numbers=leaf.numbers)]
+
+
+def _actuators(
+    done: tuple[Leaf, ...], names: tuple[str, ...], limit: float
+) -> tuple[tuple[Actuator, ...], tuple[Numbers, ...]]:
+    own = tuple(name for leaf in done for name in leaf.names)
+    if not own or len(own) > MOST_ACTUATORS:
+        raise BodyError(f"an action has {len(own)} numbers; expected 1 to {MOST_ACTUATORS}")
+    if names and len(names) != len(own):
         raise BodyError(
-            f"robot.options.actuators is {list(names)}; an action has {int(np.prod(space.shape))} numbers"
+            f"robot.options.actuators is {list(names)}; an action has {len(own)} numbers ({', '.join(own)}), and "
+            "each is an actuator"
         )
-    bounds = zip(names, space.low.ravel().tolist(), space.high.ravel().tolist(), strict=True)
-    return tuple(Actuator(name=name, low=low, high=high) for name, low, high in bounds), ()
-
-
-def _numbers(env: gymnasium.Env[Any, Any], names: tuple[str, ...]) -> tuple[str, ...]:
-    size = int(np.prod(env.observation_space.shape or ()))
-    return names or tuple(f"{OBSERVATION}_{place}" for place in range(size))
+    names = names or own
+    bounds = [bound for leaf in done for bound in zip(*ends(leaf, limit), strict=True)]
+    made = tuple(
+        Actuator(name=name, low=float(low), high=float(high)) for name, (low, high) in zip(names, bounds, strict=True)
+    )
+    choices = tuple(dict(zip(names, values, strict=True)) for values in combinations(done))
+    return made, choices

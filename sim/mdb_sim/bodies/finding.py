@@ -79,6 +79,7 @@ def find(name: str, folder: Path | None, what: str, known: Mapping[str, str]) ->
         )
     if folder is not None:
         _look_beside(folder.resolve(), module_name)
+        importlib.invalidate_caches()  # what was written there since this process began is found, too
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:

@@ -94,6 +94,9 @@ class RunRecord:
     """Current models by name and memory version."""
     scenes: dict[int, Scene]
     """What a bystander saw, by the number of actions done."""
+    reports: dict[int, IterationReport]
+    """What the optimizer said of each iteration, with feedback that came late."""
+    timings: dict[int, Timing]
 
     @property
     def iterations(self) -> int:
@@ -241,6 +244,8 @@ def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> Run
         cycle_s=_column(n, {i: t.cycle_s for i, t in found.timings.items()}, np.nan, np.float64),
         models=found.models,
         scenes=found.scenes,
+        reports=reports,
+        timings=found.timings,
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from mdb_protocol import messages
 from mdb_sim.bodies.finding import check_members, find
@@ -60,6 +60,14 @@ class Policy(Protocol):
         """Return the judgement of an action that does what it is meant to do; None: that depends on where."""
 
 
+@runtime_checkable
+class Rating(Protocol):
+    """A policy that also judges where it wants nothing: a teacher who only praises and punishes (TAMER)."""
+
+    def rate(self, before: Mapping[str, float], after: Mapping[str, float], event: str) -> float | None:
+        """Return how good what happened between two scenes was: -1 to 1. None: it cannot be told."""
+
+
 def make_policy(name: str, options: Mapping[str, Any], folder: Path | None = None) -> Policy:
     """Make a policy with the options of `[teacher.options]`; TeacherError tells what was wrong."""
     try:
@@ -82,10 +90,15 @@ def likest(policy: Policy, before: Numbers, after: Numbers, event: str) -> int |
 
 
 def judgement(policy: Policy, scene: messages.Scene) -> float | None:
-    """Return how well what was wanted before a scene was done; None: nothing was, or it cannot be told."""
-    wanted = None if scene.before is None else policy.want(scene.before)
-    if wanted is None or scene.before is None:
+    """Return how well what was wanted before a scene was done; None: it cannot be told.
+
+    Where nothing was wanted, how good what happened was, if the policy can rate that; None if it cannot.
+    """
+    if scene.before is None:
         return None
+    wanted = policy.want(scene.before)
+    if wanted is None:
+        return policy.rate(scene.before, scene.reached, scene.event) if isinstance(policy, Rating) else None
     return policy.judge(scene.before, scene.reached, scene.event, wanted)
 
 
