@@ -7,7 +7,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,13 @@ class OtherRobot:
         self.process.stdin.write(f"{words}\n")
         self.process.stdin.flush()
         return self._line()
+
+    def graph(self, topic: str, like: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """What it sees of a topic, once that is so; tokens take a moment through the router."""
+        deadline = time.monotonic() + BOUND_S
+        while not like(found := self.ask(f"graph {topic}")):
+            assert time.monotonic() < deadline, f"the graph stays {found}"
+        return found
 
     def freeze(self) -> None:
         self.process.send_signal(signal.SIGSTOP)

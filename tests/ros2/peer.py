@@ -1,10 +1,10 @@
 """A differential robot that speaks rmw_zenoh by `zenoh-ros2-sdk`, none of our code: the other side of the ROS 2 body.
 
-A process: `python -m tests.ros2.peer OPTIONS`. It is told Twist, and says LaserScan and Odometry. `--stepped`: its time
-goes on by one step with each Twist that moves it, so that a run is the same however fast the machine is; otherwise by
-the clock, `--time-scale` times as fast as real time. On each line of its input it answers with a line of JSON: what it
-heard, and what is true. Names, hashes, tokens and attachments are the SDK's; the definitions of its messages are
-rosbags', for the SDK would clone them from the network.
+A process: `python -m tests.ros2.peer OPTIONS`. It is told Twist, and says LaserScan and Odometry. `--stepped`: its
+time goes on by one step with each Twist that moves it, so that a run is the same however fast the machine is;
+otherwise by the clock, `--time-scale` times as fast as real time. On each line of its input it answers with a line of
+JSON: what it heard, and what is true. Names, hashes, tokens and attachments are the SDK's; the definitions of its
+messages are rosbags', for the SDK would clone them from the network.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Peer:
         self.attachments: list[Attachment] = []
         self.raw: bytes = b""
         self.quiet: set[str] = set()
-        router = dict(router_ip="127.0.0.1", router_port=options.port, domain_id=options.domain, namespace="/")
+        router = {"router_port": options.port, "domain_id": options.domain}
         twist = STAMPED if options.stamped else TWIST
         self.twist_definition, _, self.twist_hash = parts(twist)
         definition, _, type_hash = parts(SCAN)
@@ -213,13 +213,14 @@ class Peer:
         with self.lock:
             world = self.world
             last = self.attachments[-1] if self.attachments else None
+            numbers = [one.sequence_id for one in self.attachments]
             return {
                 "twists": len(self.twists), "last": self.twists[-1] if self.twists else None,
                 "fastest": [max((abs(twist[place]) for twist in self.twists), default=0.0) for place in (0, 1)],
                 "rests": world.rests, "at": [world.x_m, world.y_m, world.heading], "touches": world.touches,
                 "raw": list(self.raw), "key": self.cmd.keyexpr,
                 "sequence": last and last.sequence_id, "gid": last and last.gid.hex(),
-                "in_order": [one.sequence_id for one in self.attachments] == list(range(1, len(self.attachments) + 1)),
+                "in_order": numbers == list(range(1, len(numbers) + 1)),
             }  # fmt: skip
 
 

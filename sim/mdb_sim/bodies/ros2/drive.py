@@ -223,10 +223,13 @@ class Driver:
             scan = self._newest("scan")
             if isinstance(scan, Scan) and scan is not looked:
                 looked, looked_at_m, free_m = scan, gone_m, sight.free_m(scan, self._options)
-            if left_m > 0.0 and free_m - (gone_m - looked_at_m) <= self._options.bump_m:
-                return Ended.BLOCKED
+            to_go_m = abs(left_m)
+            if left_m > 0.0:
+                to_go_m = min(left_m, free_m - (gone_m - looked_at_m) - self._options.bump_m)
+                if to_go_m <= 0.0:
+                    return Ended.BLOCKED
             aside = math.remainder(odometry.heading_rad - start.heading_rad, 2.0 * math.pi)
-            linear = math.copysign(_between(ADVANCE_GAIN_PER_S * abs(left_m), SLOWEST_M_S, fastest), left_m)
+            linear = math.copysign(_between(ADVANCE_GAIN_PER_S * to_go_m, SLOWEST_M_S, fastest), left_m)
             return linear, -TURN_GAIN_PER_S / 2.0 * aside
 
         return self._move(speeds, abs(distance_m) / fastest)
@@ -290,6 +293,7 @@ class Driver:
             return
         self.halt()
         self._closed = True
+        self._node.drive(0.0, 0.0)  # what was said by a motion since is taken back
         self._node.close()
 
 

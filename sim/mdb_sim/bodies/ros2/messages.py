@@ -45,6 +45,8 @@ class Scan:
     ranges_m: Array
     step_rad: float
     """From one ray to the next."""
+    most_m: float
+    """It sees no farther."""
 
 
 def type_of(name: str, *, hashed: bool = True) -> Type:
@@ -102,7 +104,7 @@ def scan_of(cdr: bytes) -> Scan:
     heard &= np.isfinite(bearings_rad)
     return Scan(
         _seconds(said.header.stamp), said.header.frame_id, bearings_rad[heard], ranges_m[heard],
-        abs(float(said.angle_increment)),
+        abs(float(said.angle_increment)), float(said.range_max),
     )  # fmt: skip
 
 

@@ -87,6 +87,8 @@ class Ros2Node:
         frame = self._options.frames.base if self._options.stamped else None
         cdr = messages.twist_cdr(linear_m_s, angular_rad_s, frame)
         with self._saying:
+            if self._closed:
+                raise BodyError("the robot is closed; make another one")
             self._said += 1
             with_it = names.attachment(self._said, time.time_ns(), self._gid)
             try:
@@ -115,11 +117,11 @@ class Ros2Node:
 
     def close(self) -> None:
         """Leave the graph; calling it twice is harmless."""
-        with self._changed:
+        with self._saying:
             if self._closed:
                 return
             self._closed = True
-            self._changed.notify_all()
+        self.wake()
         for declared in reversed(self._declared):
             with suppress(zenoh.ZError):
                 declared.undeclare()

@@ -24,7 +24,7 @@ from mdb_sim.body import NOTHING, BodyError, Numbers, Outcome, Reading, Spec, Un
 TRIES = 60
 """Places around the object that are drawn, until the way to one is free."""
 ROOM_M = 0.15
-"""The way to such a place must be free for so much more than the robot needs."""
+"""The way to such a place must be so much wider than the robot, for it may stray."""
 DRAWN = 400
 """Echoes in a drawing at most."""
 
@@ -109,26 +109,31 @@ class Ros2Robot(Unrestorable):
         self._scan = scan = self._driver.scan_at_rest()
         at = self._driver.odometry()
         self._reading = {}
-        scene = {"x_m": at.x_m, "y_m": at.y_m, "heading_rad": at.heading_rad}
-        if self.options.object:
-            seen = sight.nearest_object(scan, self.options)
-            self._unseen = 0 if seen else self._unseen + 1
-            if seen is not None:
-                distance_m, bearing_rad = seen
-                self._reading |= fold(distance_m, bearing_rad)
-                if self.options.object_at is None:
-                    middle_m = distance_m + self.options.object_radius_m
-                    towards = at.heading_rad + bearing_rad
-                    self._object_m = at.x_m + middle_m * math.cos(towards), at.y_m + middle_m * math.sin(towards)
-            if self._object_m is None:
-                raise BodyError(
-                    f"no object within {self.options.attention_m:g} m, that is none of a width in "
-                    f"{list(self.options.object_width_m)} m; put one there, say where it is with robot.options.object_at, or set object = false"
-                )
-            scene |= {"object_x_m": self._object_m[0], "object_y_m": self._object_m[1]}
+        self._scene = {"x_m": at.x_m, "y_m": at.y_m, "heading_rad": at.heading_rad}
         if self.options.sectors:
             self._reading["ranges"] = sight.sectors_of(scan, self.options)
-        self._scene = scene
+        if self.options.object:
+            self._perceive_object(scan)
+
+    def _perceive_object(self, scan: Scan) -> None:
+        """A bystander sees the object as far as the laser does, the brain within its attention."""
+        options, scene = self.options, self._scene
+        seen = sight.nearest_object(scan, options)
+        if seen is not None and options.object_at is None:
+            middle_m, towards = seen[0] + options.object_radius_m, scene["heading_rad"] + seen[1]
+            self._object_m = scene["x_m"] + middle_m * math.cos(towards), scene["y_m"] + middle_m * math.sin(towards)
+        if self._object_m is None:
+            least_m, most_m = options.object_width_m
+            raise BodyError(
+                f"the laser sees no object, that is nothing {least_m:g} to {most_m:g} m wide; put one near it, "
+                "say where it is with robot.options.object_at, or set object = false"
+            )
+        scene["object_x_m"], scene["object_y_m"] = self._object_m
+        if seen is not None and seen[0] <= options.attention_m:
+            self._reading |= fold(*seen)
+            self._unseen = 0
+        else:
+            self._unseen += 1
 
     def _go_around(self, seed: int, episode: int) -> None:
         """Drive to a place around the object, as a Pioneer is put, if the way to one is free; else stay."""
@@ -144,7 +149,7 @@ class Ros2Robot(Unrestorable):
             dy_m = self._object_m[1] + away_m * math.sin(angle) - at.y_m
             towards = math.remainder(math.atan2(dy_m, dx_m) - at.heading_rad, 2.0 * math.pi)
             far_m = math.hypot(dx_m, dy_m)
-            if sight.free_m(scan, self.options, towards) >= far_m + ROOM_M:
+            if sight.free_m(scan, self.options, towards, ROOM_M) >= far_m:
                 if self._driver.turn(towards) is Ended.DONE and self._driver.advance(far_m) is Ended.DONE:
                     self._driver.turn(heading)
                 return

@@ -14,6 +14,8 @@ from mdb_sim.bodies.ros2.options import Ros2Options
 
 GAP_M = 0.15
 """Neighbouring echoes that are farther apart than this are of two things (ours)."""
+FAR_SHARE = 0.9
+"""Where the laser hardly sees, a piece of a wall looks like a thing: beyond this share of its range none is (ours)."""
 SILENT_RAYS = 2.5
 """So many steps of the laser without an echo end a thing (ours)."""
 
@@ -39,7 +41,7 @@ def nearest_object(scan: Scan, options: Ros2Options) -> tuple[float, float] | No
     for thing in _things(points, scan):
         away_m = np.hypot(thing[:, 0], thing[:, 1])
         width_m = float(np.hypot(*(thing[-1] - thing[0])))
-        if len(thing) > 1 and away_m.min() <= options.attention_m and least_m <= width_m <= most_m:
+        if len(thing) > 1 and away_m.min() <= FAR_SHARE * scan.most_m and least_m <= width_m <= most_m:
             first, last = np.arctan2(thing[[0, -1], 1], thing[[0, -1], 0]).tolist()
             found.append((float(away_m.min()), _wrapped(first + _wrapped(last - first) / 2.0)))
     return min(found, default=None)
@@ -68,15 +70,15 @@ def sectors_of(scan: Scan, options: Ros2Options) -> list[float]:
     return ranges
 
 
-def free_m(scan: Scan, options: Ros2Options, towards_rad: float = 0.0) -> float:
-    """Return how far the robot's circle can go in a direction until it touches an echo; infinite: it never does."""
-    points = points_of(scan, options)
+def free_m(scan: Scan, options: Ros2Options, towards_rad: float = 0.0, room_m: float = 0.0) -> float:
+    """Return how far the robot's circle, so much wider, can go in a direction until an echo; infinite: for ever."""
+    points, radius_m = points_of(scan, options), options.radius_m + room_m
     along = points @ np.array([math.cos(towards_rad), math.sin(towards_rad)])
     beside = points @ np.array([-math.sin(towards_rad), math.cos(towards_rad)])
-    in_way = (np.abs(beside) < options.radius_m) & (along > 0.0)
+    in_way = (np.abs(beside) < radius_m) & (along > 0.0)
     if not in_way.any():
         return math.inf
-    reach = np.sqrt(options.radius_m**2 - beside[in_way] ** 2)
+    reach = np.sqrt(radius_m**2 - beside[in_way] ** 2)
     return float(np.min(along[in_way] - reach))
 
 
