@@ -15,7 +15,7 @@ from mdb_sim.bodies.ros2.options import Ros2Options
 GAP_M = 0.15
 """Neighbouring echoes that are farther apart than this are of two things (ours)."""
 FAR_SHARE = 0.9
-"""Where the laser hardly sees, a piece of a wall looks like a thing: beyond this share of its range none is (ours)."""
+"""A piece of a wall looks like a thing where the laser hardly sees: beyond this share of its range is none (ours)."""
 SILENT_RAYS = 2.5
 """So many steps of the laser without an echo end a thing (ours)."""
 
