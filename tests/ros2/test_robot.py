@@ -2,6 +2,8 @@
 
 import math
 import re
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -16,7 +18,7 @@ from mdb_sim.bodies.finding import make_body, spec_of
 from mdb_sim.bodies.ros2 import messages, names
 from mdb_sim.body import NOTHING, BodyError
 from tests.conformance.body_conformance import BodyConformance
-from tests.ros2.other_side import OtherRobot, robot, router
+from tests.ros2.other_side import ROOT, OtherRobot, robot, router
 
 QUICK = {"rate_hz": 0.5, "stale_s": 10.0, "linear_m_s": 1.0, "angular_deg_s": 300.0}
 """With a robot whose time goes by with what it is told: it is told once, however busy this machine is."""
@@ -245,6 +247,29 @@ def test_while_it_acts_it_is_halted_by_a_twist_of_zero(how):
         body.close()
 
 
+DRIVER = """
+import sys
+from mdb_sim.bodies.finding import make_body
+body = make_body("ros2", {"connect": sys.argv[1], "angular_deg_s": 20.0})
+body.reset(1, 0)
+body.act({"turn": 180.0})
+"""
+
+
+def test_a_robot_that_a_dead_process_left_moving_is_stopped_by_the_next():
+    with robot("--pillar", "1.5", "0.9") as other:
+        process = subprocess.Popen([sys.executable, "-c", DRIVER, other.connect], cwd=ROOT)
+        moving(other)
+        process.kill()
+        process.wait(BOUND_S)
+        since = other.ask()["twists"]
+        assert not other.ask()["rests"], "nobody has told it to stop"
+        body = make_body("ros2", {"connect": other.connect})
+        body.reset(1, 0)
+        assert told_to_rest(other, since)
+        body.close()
+
+
 def test_faster_than_real_time_it_acts_by_the_robots_own_clock():
     with robot("--time-scale", "4", "--pillar", "1.5", "0.9") as other:
         body = make_body("ros2", {"connect": other.connect, "stale_s": 10.0, "then_advance_m": 0.3})
@@ -272,6 +297,10 @@ def test_without_news_it_stops_and_says_so(quiet, says):
         with pytest.raises(BodyError, match=says):
             body.act({"turn": 20.0})
         assert told_to_rest(other, since)
+        at = other.ask()["at"][:2]
+        with pytest.raises(BodyError, match=says):
+            body.act({"turn": 0.0})
+        assert other.ask()["at"][:2] == pytest.approx(at, abs=0.03), "it does not drive blindly"
         other.ask("quiet")
         assert body.act({"turn": 20.0}).event == NOTHING, "when they come again it goes on"
         body.close()
@@ -319,6 +348,18 @@ def test_a_difference_to_the_robot_is_told(stepped, options, says):
     with pytest.raises(BodyError, match=re.compile(says)):
         body.reset(1, 0)
     body.close()
+
+
+@pytest.mark.parametrize("package", ["rosbags", "xxhash"])
+def test_without_a_package_that_it_needs_the_error_names_the_extra(package):
+    script = (
+        f"import sys; sys.modules[{package!r}] = None\n"
+        "from mdb_sim.bodies.finding import make_body\n"
+        "make_body('ros2', {})"
+    )
+    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert f"needs the package {package}" in run.stderr
+    assert "pip install 'multilevel-darwinist-brain[ros2]'" in run.stderr
 
 
 def test_what_it_has_is_known_without_a_robot():

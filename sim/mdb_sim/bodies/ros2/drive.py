@@ -51,7 +51,7 @@ class Driver:
         """Join the graph. BodyError when no router answers."""
         self._options, self._node = options, Ros2Node(options)
         self._halted = threading.Event()
-        self._closed = False
+        self._closed = self._met = False
         self._read: dict[str, tuple[int, Odometry | Scan | None]] = {}
         self._last: Odometry | None = None
         """The odometry that was looked at last."""
@@ -105,8 +105,11 @@ class Driver:
             raise BodyError("the robot is closed; make another one")
 
     def meet(self) -> None:
-        """Wait until the robot is there: it listens, and scan and odometry come. BodyError says what is amiss."""
-        if self._node.scan[0] and self._node.odometry[0]:
+        """Wait until the robot is there: it listens, and scan and odometry come. BodyError says what is amiss.
+
+        A robot that somebody before us left moving is stopped.
+        """
+        if self._met:
             return
         deadline = time.monotonic() + self._options.first_s
         heard = self._await(lambda: bool(self._node.scan[0] and self._node.odometry[0]), self._options.first_s)
@@ -117,6 +120,10 @@ class Driver:
             if time.monotonic() >= deadline:
                 raise BodyError(self._nobody(self._node.cmd_vel, SUBSCRIPTION, "is listened to"))
             self._await(lambda: False, 0.1)
+        self._met = True
+        self._node.drive(0.0, 0.0)
+        if not _slow(self.odometry()):
+            self._rest()
 
     def _fits(self, topic: Topic, kind: str) -> list[bool]:
         """For each who says or hears a topic whether it is by our type."""
@@ -160,10 +167,7 @@ class Driver:
             return self.odometry()
         if self._halted.is_set():
             return last
-        raise BodyError(
-            f"no odometry on {self._node.odom_topic.name} for {self._options.stale_s:g} s: the robot was told to "
-            "stop; is it on, and the router?"
-        )
+        raise BodyError(self._silent("odometry", self._node.odom_topic))
 
     def scan_at_rest(self) -> Scan:
         """Return a scan that was begun no earlier than the last odometry; BodyError when none comes."""
@@ -250,6 +254,7 @@ class Driver:
 
     def _move(self, speeds: Callable[[Odometry], Speeds | Ended], nominal_s: float) -> Ended:
         """Say what is to be said after each odometry, then rest."""
+        self._check_news(self._options.stale_s)
         odometry = start = self.odometry()
         moved, over = False, False
         try:
@@ -262,12 +267,29 @@ class Driver:
                         self._rest()
                     over = True
                     return told
+                self._check_news(0.0)
                 moved = True
                 self._node.drive(*told)
                 odometry = self._next(told)
         finally:
             if moved and not over:
                 self._node.drive(0.0, 0.0)
+
+    def _check_news(self, bound_s: float) -> None:
+        """Raise BodyError when odometries or scans come no more: it drives neither lost nor blind."""
+        for which, topic in (("odometry", self._node.odom_topic), ("scan", self._node.scan_topic)):
+
+            def recent(which: str = which) -> bool:
+                return time.monotonic() - self._node.heard_s[which] <= self._options.stale_s
+
+            if not self._await(recent, bound_s):
+                raise BodyError(self._silent(which, topic))
+
+    def _silent(self, which: str, topic: Topic) -> str:
+        return (
+            f"no {which} on {topic.name} for {self._options.stale_s:g} s: the robot was told to stop; is it on, and "
+            "the router?"
+        )
 
     def _rest(self) -> None:
         """Come to rest, bounded; the last odometry is then one at rest."""
@@ -276,8 +298,7 @@ class Driver:
         while True:
             self._node.drive(0.0, 0.0)
             odometry = self._next((0.0, 0.0))
-            slow = abs(odometry.forward_m_s) <= REST_M_S and abs(odometry.turning_rad_s) <= REST_RAD_S
-            if slow or odometry.stamp_s - since_s > REST_S:
+            if _slow(odometry) or odometry.stamp_s - since_s > REST_S:
                 return
 
     def halt(self) -> None:
@@ -295,6 +316,10 @@ class Driver:
         self._closed = True
         self._node.drive(0.0, 0.0)  # what was said by a motion since is taken back
         self._node.close()
+
+
+def _slow(odometry: Odometry) -> bool:
+    return abs(odometry.forward_m_s) <= REST_M_S and abs(odometry.turning_rad_s) <= REST_RAD_S
 
 
 def _between(value: float, low: float, high: float) -> float:

@@ -26,7 +26,7 @@ GRAPH_S = 2.0
 
 
 class Ros2Node:
-    """See the module's docstring. `scan` and `odometry`: how many have come, and the newest one's bytes."""
+    """See the module's docstring. `scan`, `odometry`: how many have come, and the newest's bytes; `heard_s`: when."""
 
     def __init__(self, options: Ros2Options) -> None:
         """Join the graph. BodyError when no router answers."""
@@ -54,6 +54,7 @@ class Ros2Node:
         self._closed = False
         self.scan: tuple[int, bytes] = (0, b"")
         self.odometry: tuple[int, bytes] = (0, b"")
+        self.heard_s = {"scan": 0.0, "odometry": 0.0}
         self.graph_name = names.Node(options.domain, str(self._session.zid()), options.namespace, options.node)
         token = self.graph_name.endpoint_token(1, names.PUBLISHER, self.cmd_vel, names.RELIABLE)
         self._gid = names.gid_of(token)
@@ -77,6 +78,7 @@ class Ros2Node:
             payload = sample.payload.to_bytes()
             with self._changed:
                 setattr(self, into, (getattr(self, into)[0] + 1, payload))
+                self.heard_s[into] = time.monotonic()
                 self._changed.notify_all()
 
         key = topic.key(self._options.domain)
