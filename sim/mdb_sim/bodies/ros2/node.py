@@ -35,8 +35,8 @@ class Ros2Node:
             self._session = open_client(options.connect, None, options.first_s)
         except BusError as error:
             raise BodyError(
-                f"robot.options.connect = {options.connect!r}: {error}. A ROS 2 router is started by "
-                "`ros2 run rmw_zenoh_cpp rmw_zenohd`"
+                f"no router answers at robot.options.connect = {options.connect!r} within {options.first_s:g} s; "
+                "start one with `ros2 run rmw_zenoh_cpp rmw_zenohd`, or say where it is"
             ) from error
         topics, hashed = options.topics, options.hashes
         twist = messages.TWIST_STAMPED if options.stamped else messages.TWIST
