@@ -67,9 +67,9 @@ class OtherRobot:
 
 
 @contextmanager
-def router() -> Iterator[str]:
-    """A real router on any free port; gives where it is."""
-    serving = Router(ROOT / "deploy" / "router.json5", "tcp/127.0.0.1:0")
+def router(listen: str = "tcp/127.0.0.1:0") -> Iterator[str]:
+    """A real router, on any free port at first; gives where it is."""
+    serving = Router(ROOT / "deploy" / "router.json5", listen)
     try:
         yield serving.endpoint()
     finally:

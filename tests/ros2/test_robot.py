@@ -270,6 +270,38 @@ def test_a_robot_that_a_dead_process_left_moving_is_stopped_by_the_next():
         body.close()
 
 
+@pytest.mark.long
+def test_a_robot_that_went_on_while_the_router_was_dead_is_stopped_when_it_is_back():
+    with router() as connect:
+        other = OtherRobot(connect, "--pillar", "1.5", "0.9")
+        body = make_body("ros2", {"connect": connect, "angular_deg_s": 20.0, "stale_s": 0.5})
+        body.reset(1, 0)
+        failed: list[BodyError] = []
+        thread = threading.Thread(target=refused, args=(body, failed))
+        thread.start()
+        moving(other)
+    thread.join(BOUND_S)
+    assert "no odometry" in str(failed[0])
+    assert not other.ask()["rests"], "it was not heard"
+    with router(connect):
+        deadline = time.monotonic() + BOUND_S
+        while refused(body, failed):
+            assert time.monotonic() < deadline, failed[-1]
+        assert other.ask()["rests"]
+        body.close()
+        other.close()
+
+
+def refused(body, failed: list[BodyError]) -> bool:
+    """Tell it to turn; whether it could not."""
+    try:
+        body.act({"turn": 90.0})
+    except BodyError as error:
+        failed.append(error)
+        return True
+    return False
+
+
 def test_faster_than_real_time_it_acts_by_the_robots_own_clock():
     with robot("--time-scale", "4", "--pillar", "1.5", "0.9") as other:
         body = make_body("ros2", {"connect": other.connect, "stale_s": 10.0, "then_advance_m": 0.3})

@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 from mdb_sim.bodies.ros2 import messages, sight
 from mdb_sim.bodies.ros2.messages import Odometry, Scan
@@ -105,10 +106,7 @@ class Driver:
             raise BodyError("the robot is closed; make another one")
 
     def meet(self) -> None:
-        """Wait until the robot is there: it listens, and scan and odometry come. BodyError says what is amiss.
-
-        A robot that somebody before us left moving is stopped.
-        """
+        """Wait until the robot is there: it listens, and scan and odometry come. BodyError says what is amiss."""
         if self._met:
             return
         deadline = time.monotonic() + self._options.first_s
@@ -121,9 +119,6 @@ class Driver:
                 raise BodyError(self._nobody(self._node.cmd_vel, SUBSCRIPTION, "is listened to"))
             self._await(lambda: False, 0.1)
         self._met = True
-        self._node.drive(0.0, 0.0)
-        if not _slow(self.odometry()):
-            self._rest()
 
     def _fits(self, topic: Topic, kind: str) -> list[bool]:
         """For each who says or hears a topic whether it is by our type."""
@@ -165,7 +160,7 @@ class Driver:
 
         if self._await(newer, self._options.stale_s, again=told):
             return self.odometry()
-        if self._halted.is_set():
+        if self._halted.is_set() and told != (0.0, 0.0):
             return last
         raise BodyError(self._silent("odometry", self._node.odom_topic))
 
@@ -191,8 +186,15 @@ class Driver:
     # ---- motions ----
 
     def begin(self) -> None:
-        """Forget an earlier `halt`."""
+        """Meet the robot, and forget an earlier `halt`.
+
+        A robot that still moves is stopped: who told it last is dead, or was not heard while the router was.
+        """
         self._halted.clear()
+        self.meet()
+        self._check_news(self._options.stale_s)
+        if not _slow(self.odometry()):
+            self._rest()
 
     def turn(self, angle_rad: float) -> Ended:
         """Turn on the spot, left positive, at most once around."""
@@ -254,7 +256,6 @@ class Driver:
 
     def _move(self, speeds: Callable[[Odometry], Speeds | Ended], nominal_s: float) -> Ended:
         """Say what is to be said after each odometry, then rest."""
-        self._check_news(self._options.stale_s)
         odometry = start = self.odometry()
         moved, over = False, False
         try:
@@ -282,7 +283,7 @@ class Driver:
             def recent(which: str = which) -> bool:
                 return time.monotonic() - self._node.heard_s[which] <= self._options.stale_s
 
-            if not self._await(recent, bound_s):
+            if not self._await(recent, bound_s, again=(0.0, 0.0)):
                 raise BodyError(self._silent(which, topic))
 
     def _silent(self, which: str, topic: Topic) -> str:
@@ -304,7 +305,7 @@ class Driver:
     def halt(self) -> None:
         """Say zero now, and end the motion that is under way."""
         self._halted.set()
-        if not self._closed:
+        with suppress(BodyError):  # closed meanwhile, which has said zero
             self._node.drive(0.0, 0.0)
         self._node.wake()
 
@@ -314,7 +315,8 @@ class Driver:
             return
         self.halt()
         self._closed = True
-        self._node.drive(0.0, 0.0)  # what was said by a motion since is taken back
+        with suppress(BodyError):
+            self._node.drive(0.0, 0.0)  # what was said by a motion since is taken back
         self._node.close()
 
 

@@ -62,7 +62,6 @@ class Ros2Robot(Unrestorable):
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64 or episode < 0:
             raise BodyError(f"seed={seed!r}, episode={episode!r}; expected ints, the seed from 0 to 2**64 - 1")
         self._driver.begin()
-        self._driver.meet()
         if self._begun and episode > 0 and self.options.begin == "around":
             self._go_around(seed, episode)
         self._begun, self._unseen = True, 0
