@@ -64,8 +64,9 @@ class Ros2Robot(Unrestorable):
         self._driver.begin()
         if self._begun and episode > 0 and self.options.begin == "around":
             self._go_around(seed, episode)
-        self._begun, self._unseen = True, 0
+        self._unseen = 0
         self._perceive()
+        self._begun = True
         return dict(self._reading)
 
     def act(self, values: Mapping[str, float]) -> Outcome:
