@@ -1,4 +1,4 @@
-"""The bus over Eclipse Zenoh, and the router that carries it. The only module that imports zenoh.
+"""The bus over Eclipse Zenoh, and the router that carries it. All that a brain says goes through it.
 
 Callbacks run on Zenoh's threads and only hand raw samples to an inbox; queries are answered by the
 service's own thread in `serve`. Reliable and latched keys use Zenoh's advanced publishers (a cache that
@@ -70,7 +70,7 @@ class ZenohBus(Bus):
         self._lossless = lossless
         self._connect = connect
         self._bundle = _bundle(brain, connect, credentials)
-        self._session = _open_client(connect, self._bundle, connect_timeout_s, give_up)
+        self._session = open_client(connect, self._bundle, connect_timeout_s, give_up)
         self._declared: list[Any] = []
         self._asked: SimpleQueue[tuple[Key, Callable[[], Message | None], zenoh.Query]] = SimpleQueue()
         self._alive: set[str] | None = None
@@ -198,7 +198,7 @@ class ZenohBus(Bus):
         """See `Bus.admitted`; asks through a session of its own, for this one sees its token even when denied."""
         deadline = time.monotonic() + timeout_s
         key = ALIVE.at(self.brain, role=role, instance=instance)
-        with _open_client(self._connect, self._bundle, timeout_s) as other:
+        with open_client(self._connect, self._bundle, timeout_s) as other:
             while not any(reply.ok for reply in other.liveliness().get(key, timeout=timeout_s)):
                 if time.monotonic() >= deadline:
                     return False
@@ -267,9 +267,10 @@ def _bundle(brain: str, connect: str, credentials: Path | None) -> Bundle | None
     return None if credentials is None else Bundle.find(credentials, brain)
 
 
-def _open_client(
+def open_client(
     connect: str, bundle: Bundle | None, timeout_s: float, give_up: Callable[[], bool] = lambda: False
 ) -> zenoh.Session:
+    """Return a session through a router; BusError when none answers within the bound, or it refuses."""
     config = zenoh.Config.from_json5(
         json.dumps(
             {

@@ -18,9 +18,10 @@ BODIES = {
     "kinematic": "mdb_sim.bodies.pioneer.twin:KinematicRobot",
     "pybullet": "mdb_sim.bodies.pioneer.physics:PioneerRobot",
     "gymnasium": "mdb_sim.bodies.environment:GymnasiumBody",
+    "ros2": "mdb_sim.bodies.ros2.robot:Ros2Robot",
 }
 """The bodies that have a short name."""
-EXTRAS = {"pybullet": "pybullet", "gymnasium": "gymnasium"}
+EXTRAS = {"pybullet": "pybullet", "gymnasium": "gymnasium", "rosbags": "ros2", "xxhash": "ros2"}
 """The extra that installs a package that a body needs, by the package's name."""
 INSTEAD = {"pybullet": ", or use body='kinematic', its twin"}
 """What else would do, for want of a package."""
