@@ -1,13 +1,15 @@
-"""`mdb keys`: the key table; and the key folder for a router that listens beyond this machine."""
+"""`mdb keys`: the key table and the messages; the key folder for a router that listens beyond this machine."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mdb_protocol.errors import MdbError
 from mdb_protocol.roles import Role
 
 if TYPE_CHECKING:
@@ -15,8 +17,9 @@ if TYPE_CHECKING:
 
 KEYS = Path("keys")
 DESCRIPTION = """\
-Without a verb: prints the key table. With one: certificates and access control, for a router that other machines
-can reach. One folder serves one router; its authority's key (ca-key.pem) never leaves it.
+Without a verb: prints the key table; roles and schema print who may do what, and what the messages are. The other
+verbs make certificates and access control, for a router that other machines can reach. One folder serves one router;
+its authority's key (ca-key.pem) never leaves it.
 """
 EPILOG = """\
 a teacher on another machine:
@@ -40,6 +43,9 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     verbs = keys.add_subparsers(metavar="VERB")
     roles = verbs.add_parser("roles", help="print who may write and read what")
     roles.set_defaults(command=_roles)
+    schema = verbs.add_parser("schema", help="print the JSON Schema of the messages, or of one")
+    schema.add_argument("message", nargs="?", metavar="MESSAGE", help="as in the key table (all, in one document)")
+    schema.set_defaults(command=_schema)
     init = verbs.add_parser("init", help="make a key folder: authority, router, brain, access control")
     init.add_argument("keys", type=Path, nargs="?", default=KEYS, metavar="DIR", help="the folder to make (keys)")
     init.add_argument("--brain", default="pioneer", help="the brain's name (pioneer)")
@@ -100,6 +106,20 @@ def _roles(_: argparse.Namespace) -> int:
     from mdb_protocol.roles import table
 
     sys.stdout.write(table() + "\n")
+    return 0
+
+
+def _schema(arguments: argparse.Namespace) -> int:
+    from mdb_protocol.schema import document, every_type, schema_of
+
+    named = {message.__name__: message for message in every_type()}
+    if arguments.message is None:
+        found = document()
+    elif arguments.message in named:
+        found = schema_of(named[arguments.message])
+    else:
+        raise MdbError(f"no message {arguments.message!r}; there are {', '.join(named)}")
+    sys.stdout.write(json.dumps(found, indent=1) + "\n")
     return 0
 
 

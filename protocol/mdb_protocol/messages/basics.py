@@ -18,10 +18,13 @@ Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.-
 Text = Annotated[str, Meta(max_length=4096)]
 Event = Name
 """A word of the robot's own for what happened; `NOTHING` when nothing did."""
-Vector = Annotated[list[float], Meta(max_length=4096)]
-Reading = Annotated[dict[Name, float | Vector], Meta(max_length=256)]
+VALUE_BOUND = 1e6
+"""Sensor and model values beyond this are refused: no sensor of a robot means them."""
+Number = Annotated[float, Meta(ge=-VALUE_BOUND, le=VALUE_BOUND)]
+Vector = Annotated[list[Number], Meta(max_length=4096)]
+Reading = Annotated[dict[Name, Number | Vector], Meta(max_length=256)]
 """What sensors gave, a number or a vector each. A sensor that perceives nothing is left out."""
-Values = Annotated[dict[Name, float], Meta(max_length=256)]
+Values = Annotated[dict[Name, Number], Meta(max_length=256)]
 """Numbers by name: of actuators, or of what is true in a scene."""
 Choice = Annotated[int, Meta(ge=0, le=1023)]
 Versions = Annotated[dict[Name, Count], Meta(max_length=256)]
@@ -31,8 +34,6 @@ NOTHING = "none"
 """The event of an action after which nothing happened."""
 MOST_SUPPORT = 100_000
 """Pairs in the largest memory that an experiment may ask for."""
-VALUE_BOUND = 1e6
-"""Sensor and model values beyond this are refused: no sensor of a robot means them."""
 
 
 def check_finite(what: str, values: Mapping[str, float | list[float]] | Mapping[str, float] | float | None) -> None:
