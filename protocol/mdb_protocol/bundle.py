@@ -84,6 +84,16 @@ class Bundle:
         return {**texts, "enable_mtls": True, "close_link_on_expiration": True}
 
 
+def brains_of(path: Path) -> list[str]:
+    """Return the brains that a bundle is for, or all that a key folder has keys of; BusError when it does not say."""
+    if path.is_dir():
+        return sorted(found.stem for found in (path / "brains").glob("*.pem"))
+    user = Bundle.read(path).user
+    if user is None:
+        raise BusError(f"{path} does not say of which brain it is; give the brain's name")
+    return [user.brain]
+
+
 def write(user: str, says: Mapping[str, str], *blocks: bytes) -> bytes:
     """Return the bytes of a bundle file: plain lines, then the PEM blocks (private key, certificate, authority)."""
     lines = [f"The secret key of {user}: whoever has this file is {user}.", *(f"{k}: {v}" for k, v in says.items())]

@@ -23,19 +23,18 @@ import zenoh
 from zenoh import ext
 from zenoh.handlers import Callback
 
-from mdb_protocol import codec, endpoints
+from mdb_protocol import codec, endpoints, keys
 from mdb_protocol.bundle import Bundle, why_refused
 from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError
-from mdb_protocol.keys import ALIVE, ROOT, Delivery, Key
+from mdb_protocol.keys import ALIVE, CLAIM, ROOT, Delivery, Key
 from mdb_protocol.messages import Message
 
 RELIABLE_CACHE = 256
 """Samples a reliable publisher keeps for readers that missed some."""
 HEARTBEAT_S = 0.25
-"""How often a reliable publisher says how far it is, so that a lost last sample is noticed.
-
-Always, not only when it has sent something since: said while the router is dead, nobody would hear it.
+"""How often a reliable publisher says how far it is, so that a lost last sample is noticed;
+always, not only when it has sent something since: said while the router is dead, nobody would hear it.
 """
 ASKED_KEPT = 1000
 """Queries that wait to be answered; who asks then gets no answer."""
@@ -43,6 +42,7 @@ LEASE_MS = 2000
 """A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
 RETRY_MS = 50
 """A client that has lost its router tries again after this; the waits grow to four times as long."""
+TOKENS_S = 2.0
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 
@@ -190,6 +190,24 @@ class ZenohBus(Bus):
         self._check_writes(ALIVE, key)
         self._declared.append(self._session.liveliness().declare_token(key))
 
+    def claim(self, role: str, instance: str, holder: str) -> Callable[[], None]:
+        """See `Bus.claim`."""
+        key = CLAIM.at(self.brain, role=role, instance=instance, holder=holder)
+        self._check_writes(CLAIM, key)
+        token = self._session.liveliness().declare_token(key)
+        self._declared.append(token)
+        return token.undeclare
+
+    def holders(self, role: str, instance: str) -> frozenset[str]:
+        """See `Bus.holders`."""
+        found = self._tokens(CLAIM.at(self.brain, role=role, instance=instance))
+        return frozenset(claim["holder"] for key in found if (claim := CLAIM.match(self.brain, key)))
+
+    def _tokens(self, pattern: str) -> list[str]:
+        """Ask the router for tokens; before it answers it has taken in what we and others have declared."""
+        replies = self._session.liveliness().get(pattern, timeout=TOKENS_S)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
     def _check_writes(self, row: Key, key: str) -> None:
         if self._bundle is not None and self._bundle.user is not None:
             self._bundle.user.check_writes(row, key)
@@ -205,16 +223,18 @@ class ZenohBus(Bus):
                 time.sleep(0.05)
         return True
 
+    def brains(self) -> list[str]:
+        """Return the names of all brains of which anybody is alive at this router; with keys only one's own."""
+        return keys.brains_of(self._tokens(keys.ALIVE_ANYWHERE))
+
     def alive(self) -> frozenset[str]:
         """See `Bus.alive`; the first call asks and from then on follows the changes."""
         if self._alive is None:
             self._alive = set()
             key = ALIVE.at(self.brain)
-            subscriber = self._session.liveliness().declare_subscriber(
-                key, Callback(self._on_token, indirect=False), history=True
-            )
-            self._declared.append(subscriber)
-            for reply in self._session.liveliness().get(key, timeout=2.0):
+            on_token = Callback(self._on_token, indirect=False)
+            self._declared.append(self._session.liveliness().declare_subscriber(key, on_token, history=True))
+            for reply in self._session.liveliness().get(key, timeout=TOKENS_S):
                 if reply.ok is not None:
                     self._on_token(reply.ok)
         with self._alive_lock:
