@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from mdb_protocol.endpoints import Endpoint
+from mdb_protocol.endpoints import ENCRYPTED, Endpoint
 from mdb_protocol.errors import BusError
 from mdb_protocol.roles import Role, User
 
@@ -65,6 +65,16 @@ class Bundle:
         if bundle.until is not None and bundle.until < datetime.now(UTC):
             raise BusError(f"the certificate in {bundle.path} ended on {bundle.until:%Y-%m-%d}; {MAKE_NEW}")
         return bundle
+
+    @classmethod
+    def shown_to(cls, connect: str, path: Path | None, brain: str) -> Bundle | None:
+        """Return what is shown to a router, None without keys; BusError when it wants some, or takes none."""
+        encrypted = connect.partition("/")[0] in ENCRYPTED
+        if path is None and encrypted:
+            raise BusError(f"the router at {connect} lets in only who has keys: give your bundle with --keys FILE")
+        if path is not None and not encrypted:
+            raise BusError(f"with keys the router is at tls/HOST:PORT or quic/HOST:PORT, not at {connect}")
+        return None if path is None else cls.find(path, brain)
 
     def client_tls(self) -> dict[str, object]:
         """Return Zenoh's `transport/link/tls` for a client that shows this bundle."""

@@ -69,7 +69,7 @@ class ZenohBus(Bus):
         super().__init__(brain)
         self._lossless = lossless
         self._connect = connect
-        self._bundle = _bundle(brain, connect, credentials)
+        self._bundle = Bundle.shown_to(connect, credentials, brain)
         self._session = _open_client(connect, self._bundle, connect_timeout_s, give_up)
         self._declared: list[Any] = []
         self._asked: SimpleQueue[tuple[Key, Callable[[], Message | None], zenoh.Query]] = SimpleQueue()
@@ -180,6 +180,11 @@ class ZenohBus(Bus):
                 self.refusals.add(row.path, str(error))
         return answers
 
+    def put(self, raw: Raw) -> None:
+        """Put bytes as they are: for trials of what readers refuse."""
+        block = zenoh.CongestionControl.BLOCK
+        self._session.put(raw.key, raw.payload, encoding=raw.encoding, congestion_control=block)
+
     def connected(self) -> bool:
         """Whether there is a router at the other end now; a session that has lost it comes back by itself."""
         return bool(self._session.info.routers_zid())
@@ -276,15 +281,6 @@ class _Publisher:
             self._publisher.put(pack(self._row, message))
         except zenoh.ZError as error:
             raise BusError(f"cannot publish on {self._publisher.key_expr}: {error}") from error
-
-
-def _bundle(brain: str, connect: str, credentials: Path | None) -> Bundle | None:
-    encrypted = connect.startswith(tuple(f"{protocol}/" for protocol in endpoints.ENCRYPTED))
-    if credentials is None and encrypted:
-        raise BusError(f"the router at {connect} lets in only who has keys: give your bundle with --keys FILE")
-    if credentials is not None and not encrypted:
-        raise BusError(f"with keys the router is at tls/HOST:PORT or quic/HOST:PORT, not at {connect}")
-    return None if credentials is None else Bundle.find(credentials, brain)
 
 
 def _open_client(
