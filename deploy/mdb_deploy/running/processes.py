@@ -58,7 +58,7 @@ def run_router(options: RouterOptions, stop: Stopper) -> None:
     listen, changed = options.listen, _changes(options.keys)
     bound_s = 0.0
     while not stop():
-        router = _router(options, listen, bound_s)
+        router = open_router(options, listen, bound_s)
         endpoint = router.endpoint()
         listen, bound_s = endpoints.with_port_of(router.listen, endpoint), PORT_FREE_S
         _say_where(options.run, endpoint)
@@ -68,9 +68,12 @@ def run_router(options: RouterOptions, stop: Stopper) -> None:
         router.close()
 
 
-def _router(options: RouterOptions, listen: str | None, bound_s: float) -> Router:
-    """Start a router, trying again within the bound: its predecessor's port is free a moment after it has closed."""
-    deadline = time.monotonic() + bound_s
+def open_router(options: RouterOptions, listen: str | None = None, bound_s: float = 0.0) -> Router:
+    """Start a router at `listen`, or where the options say.
+
+    Tries again within the bound: its predecessor's port is free a moment after it has closed.
+    """
+    listen, deadline = listen or options.listen, time.monotonic() + bound_s
     while True:
         try:
             return Router(
