@@ -119,7 +119,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
-    watch = Watch(experiment, options.run, options.keys)
+    watch = Watch(experiment, options.run, options.keys, await_robot=options.await_robot)
     variables = {
         "MDB_RUN_INSIDE": str(options.run),
         "MDB_LISTEN": options.listen,

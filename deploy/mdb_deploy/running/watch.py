@@ -9,17 +9,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from mdb_deploy.running.compose import ROUTER
+import structlog
+
+from mdb_deploy.running.compose import ROBOT, ROUTER
 from mdb_deploy.running.processes import ENDPOINT_FILE
 from mdb_deploy.running.progress import Progress
 from mdb_protocol import keys
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError
 from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_services.shell.holding import hold
 from mdb_services.shell.service import Meter, announce
 from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
+
+log = structlog.get_logger()
 
 JOIN_S = 2.0
 """Bound on joining a router that runs."""
@@ -32,7 +37,10 @@ class Watch:
     bus: Bus
     """There once a router is joined."""
 
-    def __init__(self, experiment: Experiment, run: Path, credentials: Path | None) -> None:
+    def __init__(
+        self, experiment: Experiment, run: Path, credentials: Path | None, *, await_robot: bool = False
+    ) -> None:
+        """`await_robot`: of a robot of somebody else's it is not told before it stands where the run begins."""
         self._brain = experiment.brain.experiment.brain
         settings = experiment.brain.optimizer
         self.patience_s = settings.command_patience_s + settings.feedback_patience_s
@@ -43,6 +51,9 @@ class Watch:
         self._bus: ZenohBus | None = None
         self._meter: Meter | None = None
         self._iteration = 0
+        self._awaited = await_robot and not (run / MEMORY_FILE).exists()
+        """Whether a robot is awaited that has not acted: one of an earlier run has another count."""
+        self._elsewhere = False
         self.on_endpoint: Callable[[str], None] = lambda _: None
 
     def join(self, endpoint: str) -> None:
@@ -60,7 +71,20 @@ class Watch:
         if self._bus is None or not self._bus.connected():
             return frozenset()
         self._serve()
-        return self._bus.alive() | {ROUTER}
+        alive = self._bus.alive() | {ROUTER}
+        if self._awaited:
+            self._meet()
+        return alive if not self._awaited else frozenset(n for n in alive if n.partition("/")[0] != ROBOT)
+
+    def _meet(self) -> None:
+        """Look whether the robot that is awaited stands where the run begins."""
+        shown = self._perceptions.take()
+        if shown is None:
+            return
+        self._awaited = shown.iteration > 0
+        if self._awaited and not self._elsewhere:
+            log.warning("the robot has acted in an earlier run; start it again: it is awaited", at=shown.iteration)
+        self._elsewhere = self._awaited
 
     def _find(self, endpoint: str) -> None:
         try:
@@ -74,6 +98,7 @@ class Watch:
         self._bus = self.bus = bus
         hold(bus, self.role, self.instance)
         self._meter = announce(self, self._run)
+        self._perceptions = bus.subscriber(keys.PERCEPTION)
         self._reports = bus.subscriber(keys.ITERATION)
         self._scenes = bus.subscriber(keys.SCENE)
         self._phases = bus.subscriber(keys.PHASE)
