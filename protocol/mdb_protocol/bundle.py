@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from mdb_protocol.endpoints import Endpoint
+from mdb_protocol.endpoints import ENCRYPTED, Endpoint
 from mdb_protocol.errors import BusError
 from mdb_protocol.roles import Role, User
 
@@ -66,6 +66,16 @@ class Bundle:
             raise BusError(f"the certificate in {bundle.path} ended on {bundle.until:%Y-%m-%d}; {MAKE_NEW}")
         return bundle
 
+    @classmethod
+    def shown_to(cls, connect: str, path: Path | None, brain: str) -> Bundle | None:
+        """Return what is shown to a router, None without keys; BusError when it wants some, or takes none."""
+        encrypted = connect.partition("/")[0] in ENCRYPTED
+        if path is None and encrypted:
+            raise BusError(f"the router at {connect} lets in only who has keys: give your bundle with --keys FILE")
+        if path is not None and not encrypted:
+            raise BusError(f"with keys the router is at tls/HOST:PORT or quic/HOST:PORT, not at {connect}")
+        return None if path is None else cls.find(path, brain)
+
     def client_tls(self) -> dict[str, object]:
         """Return Zenoh's `transport/link/tls` for a client that shows this bundle."""
         return self._tls("connect") | {"verify_name_on_connect": True}
@@ -82,6 +92,16 @@ class Bundle:
         }
         texts = {name: base64.b64encode(pem).decode() for name, pem in parts.items()}
         return {**texts, "enable_mtls": True, "close_link_on_expiration": True}
+
+
+def brains_of(path: Path) -> list[str]:
+    """Return the brains that a bundle is for, or all that a key folder has keys of; BusError when it does not say."""
+    if path.is_dir():
+        return sorted(found.stem for found in (path / "brains").glob("*.pem"))
+    user = Bundle.read(path).user
+    if user is None:
+        raise BusError(f"{path} does not say of which brain it is; give the brain's name")
+    return [user.brain]
 
 
 def write(user: str, says: Mapping[str, str], *blocks: bytes) -> bytes:

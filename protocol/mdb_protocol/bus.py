@@ -304,6 +304,14 @@ class Bus(ABC):
         """Declare this service alive, and so ready; until `close`."""
 
     @abstractmethod
+    def claim(self, role: str, instance: str, holder: str) -> Callable[[], None]:
+        """Say that `holder` is, or wants to be, this service; until `close`, or what is returned is called."""
+
+    @abstractmethod
+    def holders(self, role: str, instance: str) -> frozenset[str]:
+        """Ask anew who claims to be this service; every claim made before this call is among them."""
+
+    @abstractmethod
     def alive(self) -> frozenset[str]:
         """Return "role/instance" of all that are alive; changes wake `wait`."""
 

@@ -21,5 +21,9 @@ class BusError(MdbError):
     """The bus cannot do what was asked: no router, a port in use, a closed session."""
 
 
+class TakenError(BusError):
+    """A service of a brain's name that lives already."""
+
+
 class QueryError(MdbError):
     """A query that got no usable answer within its time."""

@@ -6,6 +6,7 @@ No key is spelled anywhere else. The README's table is printed from it (`mdb key
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
@@ -273,12 +274,27 @@ ALIVE = Key(
     repeatable=False,
     teachers_read=True,
 )
+ALIVE_ANYWHERE = ALIVE.at("BRAIN").replace("BRAIN", "*")
+"""The tokens of all brains."""
+CLAIM = Key(
+    "claim/{role}/{instance}/{holder}",
+    None,
+    "each service",
+    Delivery.TOKEN,
+    "declared first: who is, or wants to be, this service of the brain",
+    repeatable=False,
+)
 
 KEYS = (
     PERCEPTION, SCENE, PICTURE, CHANGE, ACTION, COMMAND, FEEDBACK, LESSON, AUDIO, HEARD, PHASE, PAIR, PAIR_STORED,
     MEMORY_CHANGE, MEMORY_SNAPSHOT, CONTEXT, CURRENT_MODEL, KEPT_MODEL, CHECKPOINT, RESUME, PROGRESS, ITERATION,
-    TIMING, FINISHED, STATUS, ALIVE,
+    TIMING, FINISHED, STATUS, ALIVE, CLAIM,
 )  # fmt: skip
+
+
+def brains_of(found: Iterable[str]) -> list[str]:
+    """Return the names of the brains that full keys belong to, in order; what can be none's name is left out."""
+    return sorted({name for key in found if NAME.fullmatch(name := key.split("/")[1])})
 
 
 def find(brain: str, key: str) -> Key | None:

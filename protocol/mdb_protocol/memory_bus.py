@@ -13,7 +13,7 @@ from typing import NamedTuple
 from mdb_protocol import codec
 from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError
-from mdb_protocol.keys import ALIVE, Delivery, Key
+from mdb_protocol.keys import ALIVE, CLAIM, Delivery, Key
 from mdb_protocol.messages import Message
 
 KEEPS_LAST = (Delivery.LATEST, Delivery.LATCHED)
@@ -159,6 +159,24 @@ class MemoryBus(Bus):
         with self.fabric.lock:
             self.fabric.tokens[ALIVE.at(self.brain, role=role, instance=instance)] = self
             self.fabric.changed()
+
+    def claim(self, role: str, instance: str, holder: str) -> Callable[[], None]:
+        """See `Bus.claim`."""
+        key = CLAIM.at(self.brain, role=role, instance=instance, holder=holder)
+        with self.fabric.lock:
+            self.fabric.tokens[key] = self
+        return lambda: self._withdraw(key)
+
+    def _withdraw(self, key: str) -> None:
+        with self.fabric.lock:
+            self.fabric.tokens.pop(key, None)
+
+    def holders(self, role: str, instance: str) -> frozenset[str]:
+        """See `Bus.holders`."""
+        wanted = {"role": role, "instance": instance}
+        with self.fabric.lock:
+            found = [CLAIM.match(self.brain, key) for key in self.fabric.tokens]
+        return frozenset(claim["holder"] for claim in found if claim and claim.items() >= wanted.items())
 
     def alive(self) -> frozenset[str]:
         """See `Bus.alive`."""

@@ -23,19 +23,18 @@ import zenoh
 from zenoh import ext
 from zenoh.handlers import Callback
 
-from mdb_protocol import codec, endpoints
+from mdb_protocol import codec, endpoints, keys
 from mdb_protocol.bundle import Bundle, why_refused
 from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError
-from mdb_protocol.keys import ALIVE, ROOT, Delivery, Key
+from mdb_protocol.keys import ALIVE, CLAIM, ROOT, Delivery, Key
 from mdb_protocol.messages import Message
 
 RELIABLE_CACHE = 256
 """Samples a reliable publisher keeps for readers that missed some."""
 HEARTBEAT_S = 0.25
-"""How often a reliable publisher says how far it is, so that a lost last sample is noticed.
-
-Always, not only when it has sent something since: said while the router is dead, nobody would hear it.
+"""How often a reliable publisher says how far it is, so that a lost last sample is noticed;
+always, not only when it has sent something since: said while the router is dead, nobody would hear it.
 """
 ASKED_KEPT = 1000
 """Queries that wait to be answered; who asks then gets no answer."""
@@ -43,6 +42,7 @@ LEASE_MS = 2000
 """A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
 RETRY_MS = 50
 """A client that has lost its router tries again after this; the waits grow to four times as long."""
+TOKENS_S = 2.0
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 
@@ -69,7 +69,7 @@ class ZenohBus(Bus):
         super().__init__(brain)
         self._lossless = lossless
         self._connect = connect
-        self._bundle = _bundle(brain, connect, credentials)
+        self._bundle = Bundle.shown_to(connect, credentials, brain)
         self._session = open_client(connect, self._bundle, connect_timeout_s, give_up)
         self._declared: list[Any] = []
         self._asked: SimpleQueue[tuple[Key, Callable[[], Message | None], zenoh.Query]] = SimpleQueue()
@@ -180,6 +180,11 @@ class ZenohBus(Bus):
                 self.refusals.add(row.path, str(error))
         return answers
 
+    def put(self, raw: Raw) -> None:
+        """Put bytes as they are: for trials of what readers refuse."""
+        block = zenoh.CongestionControl.BLOCK
+        self._session.put(raw.key, raw.payload, encoding=raw.encoding, congestion_control=block)
+
     def connected(self) -> bool:
         """Whether there is a router at the other end now; a session that has lost it comes back by itself."""
         return bool(self._session.info.routers_zid())
@@ -189,6 +194,24 @@ class ZenohBus(Bus):
         key = ALIVE.at(self.brain, role=role, instance=instance)
         self._check_writes(ALIVE, key)
         self._declared.append(self._session.liveliness().declare_token(key))
+
+    def claim(self, role: str, instance: str, holder: str) -> Callable[[], None]:
+        """See `Bus.claim`."""
+        key = CLAIM.at(self.brain, role=role, instance=instance, holder=holder)
+        self._check_writes(CLAIM, key)
+        token = self._session.liveliness().declare_token(key)
+        self._declared.append(token)
+        return token.undeclare
+
+    def holders(self, role: str, instance: str) -> frozenset[str]:
+        """See `Bus.holders`."""
+        found = self._tokens(CLAIM.at(self.brain, role=role, instance=instance))
+        return frozenset(claim["holder"] for key in found if (claim := CLAIM.match(self.brain, key)))
+
+    def _tokens(self, pattern: str) -> list[str]:
+        """Ask the router for tokens; before it answers it has taken in what we and others have declared."""
+        replies = self._session.liveliness().get(pattern, timeout=TOKENS_S)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
     def _check_writes(self, row: Key, key: str) -> None:
         if self._bundle is not None and self._bundle.user is not None:
@@ -205,16 +228,18 @@ class ZenohBus(Bus):
                 time.sleep(0.05)
         return True
 
+    def brains(self) -> list[str]:
+        """Return the names of all brains of which anybody is alive at this router; with keys only one's own."""
+        return keys.brains_of(self._tokens(keys.ALIVE_ANYWHERE))
+
     def alive(self) -> frozenset[str]:
         """See `Bus.alive`; the first call asks and from then on follows the changes."""
         if self._alive is None:
             self._alive = set()
             key = ALIVE.at(self.brain)
-            subscriber = self._session.liveliness().declare_subscriber(
-                key, Callback(self._on_token, indirect=False), history=True
-            )
-            self._declared.append(subscriber)
-            for reply in self._session.liveliness().get(key, timeout=2.0):
+            on_token = Callback(self._on_token, indirect=False)
+            self._declared.append(self._session.liveliness().declare_subscriber(key, on_token, history=True))
+            for reply in self._session.liveliness().get(key, timeout=TOKENS_S):
                 if reply.ok is not None:
                     self._on_token(reply.ok)
         with self._alive_lock:
@@ -256,15 +281,6 @@ class _Publisher:
             self._publisher.put(pack(self._row, message))
         except zenoh.ZError as error:
             raise BusError(f"cannot publish on {self._publisher.key_expr}: {error}") from error
-
-
-def _bundle(brain: str, connect: str, credentials: Path | None) -> Bundle | None:
-    encrypted = connect.startswith(tuple(f"{protocol}/" for protocol in endpoints.ENCRYPTED))
-    if credentials is None and encrypted:
-        raise BusError(f"the router at {connect} lets in only who has keys: give your bundle with --keys FILE")
-    if credentials is not None and not encrypted:
-        raise BusError(f"with keys the router is at tls/HOST:PORT or quic/HOST:PORT, not at {connect}")
-    return None if credentials is None else Bundle.find(credentials, brain)
 
 
 def open_client(

@@ -252,6 +252,22 @@ def test_liveliness_shows_who_comes_and_goes(make_bus: MakeBus) -> None:
     until(watcher, lambda: watcher.alive() == frozenset())
 
 
+def test_claims_are_seen_by_who_asks_after_them_until_they_are_withdrawn_or_their_bus_is_gone(
+    make_bus: MakeBus,
+) -> None:
+    one, other = make_bus(), make_bus()
+    withdraw = one.claim("robot", "body", "one.1.a")
+    assert one.holders("robot", "body") == {"one.1.a"}
+    other.claim("robot", "body", "two.2.b")
+    other.claim("optimizer", "action", "two.2.b")
+    assert other.holders("robot", "body") == {"one.1.a", "two.2.b"}, "what was claimed before is seen"
+    withdraw()
+    until(other, lambda: other.holders("robot", "body") == {"two.2.b"})
+    other.close()
+    until(one, lambda: one.holders("robot", "body") == frozenset())
+    assert one.alive() == frozenset(), "a claim says nothing of being ready"
+
+
 def test_who_has_a_token_is_admitted_where_nobody_is_denied(make_bus: MakeBus) -> None:
     bus = make_bus()
     assert not bus.admitted("teacher", "anna", 0.1)

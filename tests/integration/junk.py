@@ -21,7 +21,7 @@ from mdb_protocol.errors import DecodeError
 from mdb_protocol.keys import Delivery, Key
 from mdb_protocol.messages import Message
 
-NAMES = {"teacher": "anna", "model": "object", "role": "robot", "instance": "body"}
+NAMES = {"teacher": "anna", "model": "object", "role": "robot", "instance": "body", "holder": "somebody"}
 FAR = 10**9
 NONE, ONE = np.zeros(0, np.int64), np.zeros(1, np.int64)
 ROW = np.zeros((1, 1), np.float32)

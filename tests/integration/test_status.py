@@ -17,7 +17,7 @@ from tests.integration.test_survival import LONG, iteration_after
 
 WHO = {
     "recorder/log", "memory/store", "evolver/communication", "evolver/object", "evolver/induced", "robot/body",
-    "teacher/script", "optimizer/action",
+    "teacher/script", "optimizer/action", "runner/up",
 }  # fmt: skip
 
 
@@ -33,7 +33,7 @@ def test_status_tells_how_each_service_does(tmp_path: Path) -> None:
         where = ("--connect", (brain.run / "router.endpoint").read_text())
         rows = told(*where)
         assert set(rows) == WHO
-        pids = {child.pid for child in brain.children()}
+        pids = {child.pid for child in brain.children()} | {brain.process.pid}
         for name, row in rows.items():
             assert row["pid"] in pids
             assert row["rate_hz"] > 1.0, name

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 KEYS = Path("keys")
 DESCRIPTION = """\
-Without a verb: prints the key table; roles and schema print who may do what, and what the messages are. The other
-verbs make certificates and access control, for a router that other machines can reach. One folder serves one router;
-its authority's key (ca-key.pem) never leaves it.
+Without a verb: prints the key table; roles, schema and duties print who may do what, what the messages are, and what
+a robot owes. The other verbs make certificates and access control, for a router that other machines can reach. One
+folder serves one router; its authority's key (ca-key.pem) never leaves it.
 """
 EPILOG = """\
 a teacher on another machine:
@@ -43,6 +43,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     verbs = keys.add_subparsers(metavar="VERB")
     roles = verbs.add_parser("roles", help="print who may write and read what")
     roles.set_defaults(command=_roles)
+    duties = verbs.add_parser("duties", help="print what a robot over the wire owes")
+    duties.set_defaults(command=_duties)
     schema = verbs.add_parser("schema", help="print the JSON Schema of the messages, or of one")
     schema.add_argument("message", nargs="?", metavar="MESSAGE", help="as in the key table (all, in one document)")
     schema.set_defaults(command=_schema)
@@ -104,6 +106,13 @@ def _table(_: argparse.Namespace) -> int:
 
 def _roles(_: argparse.Namespace) -> int:
     from mdb_protocol.roles import table
+
+    sys.stdout.write(table() + "\n")
+    return 0
+
+
+def _duties(_: argparse.Namespace) -> int:
+    from mdb_protocol.duties import table
 
     sys.stdout.write(table() + "\n")
     return 0

@@ -9,7 +9,22 @@ from typing import TextIO, cast
 
 import structlog
 
-from mdb_deploy.cli import change, chaos, check, init, keys, ltm, past, plot, run, status, study, teach, up
+from mdb_deploy.cli import (
+    change,
+    chaos,
+    check,
+    check_robot,
+    init,
+    keys,
+    ltm,
+    past,
+    plot,
+    run,
+    status,
+    study,
+    teach,
+    up,
+)
 from mdb_protocol.errors import MdbError
 
 EPILOG = """\
@@ -23,7 +38,7 @@ first steps:
   mdb status                              who is alive, and how each process does
   mdb plot RUN                            the figures again, from the run's log alone
 """
-ORDER = (up, init, teach, change, status, plot, study, ltm, past, keys, chaos, check, run)
+ORDER = (up, init, teach, change, status, plot, study, ltm, past, keys, check_robot, chaos, check, run)
 """The commands, as `mdb --help` lists them."""
 
 

@@ -15,9 +15,10 @@ def add(commands: Commands) -> None:
     health.add_argument("name", help="router, or ROLE/INSTANCE as in 'mdb status'")
     for parser in (status, health):
         parser.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
-        parser.add_argument("--brain", default="pioneer", help="the brain's name")
         add_keys(parser)
-    status.add_argument("--json", action="store_true", help="one line of JSON, for scripts")
+    status.add_argument("--brain", help="the brain's name (all brains of the router)")
+    health.add_argument("--brain", default="pioneer", help="the brain's name")
+    status.add_argument("--json", action="store_true", help="one line of JSON a brain, for scripts")
     status.add_argument(
         "--watch", type=float, nargs="?", const=1.0, metavar="SECONDS", help="again and again (every second)"
     )

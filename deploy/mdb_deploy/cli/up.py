@@ -18,8 +18,9 @@ def add(commands: Commands) -> None:
     add_experiment(up)
     up.add_argument("--inline", action="store_true", help="everything in this process, in lockstep")
     up.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder is made (runs)")
-    up.add_argument("--listen", default=DEFAULT_ENDPOINT, help="the router's endpoint; port 0: any free one")
-    up.add_argument("--keys", type=keys_path, metavar="DIR", help="key folder, for --listen tls/0.0.0.0:7447")
+    up.add_argument("--listen", help=f"the router's endpoint ({DEFAULT_ENDPOINT}); port 0: any free one")
+    up.add_argument("--connect", metavar="ENDPOINT", help="start no router: join the one that runs there")
+    up.add_argument("--keys", type=keys_path, metavar="DIR", help="key folder, for a router at tls/ or quic/")
     up.add_argument("--open-to-everyone", action="store_true", help=OPEN_HELP)
     up.add_argument("--gui", action="store_true", help="show the PyBullet window")
     up.add_argument(
@@ -32,7 +33,22 @@ def add(commands: Commands) -> None:
     up.add_argument(
         "--no-teacher", action="store_true", help="no scripted teacher: begin when you have come, 'mdb teach'"
     )
+    up.add_argument(
+        "--no-robot", action="store_true", help="no robot of ours: begin when one has come (protocol/README.md)"
+    )
     up.set_defaults(command=_up)
+
+
+def _check_words(arguments: argparse.Namespace) -> None:
+    """Raise MdbError when options do not go together."""
+    if arguments.inline and (arguments.no_robot or arguments.connect):
+        raise MdbError("--inline runs everything in one process: leave --no-robot and --connect out")
+    if arguments.connect and (arguments.listen or arguments.open_to_everyone):
+        raise MdbError("--connect starts no router: leave --listen and --open-to-everyone out")
+    if arguments.no_robot and arguments.gui:
+        raise MdbError("--gui shows the PyBullet window of our robot: leave it out with --no-robot")
+    if arguments.resume is not None and (arguments.inline or arguments.long_term):
+        raise MdbError("--resume goes on with a run of processes as it was: leave --inline and --long-term out")
 
 
 def _up(arguments: argparse.Namespace) -> int:
@@ -40,21 +56,30 @@ def _up(arguments: argparse.Namespace) -> int:
 
     from mdb_deploy.running.processes import ENDPOINT_FILE
     from mdb_deploy.running.progress import Progress
-    from mdb_deploy.running.up import UpOptions, check_listen, new_run_folder, up_inline, up_processes
+    from mdb_deploy.running.up import (
+        UpOptions,
+        check_connect,
+        check_listen,
+        new_run_folder,
+        up_inline,
+        up_processes,
+    )
     from mdb_services.experiment.brain import EXPERIMENT_FILE
     from mdb_sim.runs.experiment import Experiment
 
+    _check_words(arguments)
     path = experiment_path(arguments.experiment) if arguments.resume is None else arguments.resume / EXPERIMENT_FILE
     content = content_of(path, arguments, *(("experiment.pace=lockstep",) if arguments.inline else ()))
     if arguments.no_teacher:
         content.pop("teacher", None)
     experiment = Experiment(content, path)
-    experiment.check_machine()
+    experiment.check_machine(elsewhere=arguments.no_robot)
     section = experiment.brain.experiment
-    if not arguments.inline:
-        check_listen(arguments.listen, arguments.keys, section.brain, open_to_everyone=arguments.open_to_everyone)
-    if arguments.resume is not None and (arguments.inline or arguments.long_term):
-        raise MdbError("--resume goes on with a run of processes as it was: leave --inline and --long-term out")
+    listen = arguments.listen or DEFAULT_ENDPOINT
+    if arguments.connect:
+        check_connect(arguments.connect, arguments.keys, section.brain)
+    elif not arguments.inline:
+        check_listen(listen, arguments.keys, section.brain, open_to_everyone=arguments.open_to_everyone)
     run = arguments.resume or new_run_folder(arguments.runs.resolve(), section.name, section.seed)
     run = run.resolve()
     if arguments.long_term is not None:
@@ -64,18 +89,22 @@ def _up(arguments: argparse.Namespace) -> int:
         ltm.bring(arguments.long_term, (), run)
     options = UpOptions(
         run,
-        arguments.listen,
+        listen,
         arguments.gui,
         arguments.keys,
         arguments.open_to_everyone,
         await_teacher=arguments.no_teacher,
+        await_robot=arguments.no_robot,
+        connect=arguments.connect,
     )
     console = Console(stderr=False)
     console.print(f"{section.name}: {section.iterations} iterations, {section.pace}, seed {section.seed}")
+    where = arguments.connect or (f"$(cat {run / ENDPOINT_FILE})" if listen.endswith(":0") else listen)
+    if arguments.no_robot:
+        console.print(f"begins when a robot comes to mdb/{section.brain} at {where}", soft_wrap=True)
     if arguments.no_teacher and not arguments.inline:
-        listen = f"$(cat {run / ENDPOINT_FILE})" if arguments.listen.endswith(":0") else arguments.listen
         bundle = " --keys YOUR_BUNDLE" if arguments.keys else ""
-        console.print(f"begins when somebody teaches: mdb teach --connect {listen}{bundle}", soft_wrap=True)
+        console.print(f"begins when somebody teaches: mdb teach --connect {where}{bundle}", soft_wrap=True)
     run_it = up_inline if arguments.inline else up_processes
     status = run_it(experiment, options, Progress(console, experiment))
     if not arguments.no_plot:

@@ -36,8 +36,8 @@ class ProcessSpec:
     token: str
     environment: Mapping[str, str]
     restarts: bool
-    awaits: str = ""
-    """A role: not started before somebody of it is alive."""
+    awaits: tuple[str, ...] = ()
+    """Roles: not started before somebody of each is alive."""
 
     def argv(self, variables: Mapping[str, str]) -> list[str]:
         """Return the command with its variables filled in; a word that is empty then is left out."""
@@ -126,6 +126,15 @@ def for_experiment(specs: Mapping[str, ProcessSpec], experiment: Experiment) -> 
             after = sorted({*after, *added})
         result[spec.name] = replace(spec, after=tuple(after))
     return in_order(result)
+
+
+def elsewhere(specs: Mapping[str, ProcessSpec], *names: str) -> dict[str, ProcessSpec]:
+    """Return the processes without those that somebody else runs."""
+    return {
+        name: replace(spec, after=tuple(after for after in spec.after if after not in names))
+        for name, spec in specs.items()
+        if name not in names
+    }
 
 
 def _for_model(pattern: ProcessSpec, model: str) -> ProcessSpec:

@@ -19,6 +19,7 @@ from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, ConfigError, DamageError
 from mdb_protocol.zenoh_bus import Router, RouterKeys, ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.shell.holding import hold
 from mdb_services.shell.service import Service, Stopper, run
 from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
@@ -29,6 +30,11 @@ ROUTER_CONFIG = Path(__file__).parents[2] / "router.json5"
 ENDPOINT_FILE = "router.endpoint"
 EVOLVER_NICE = 5
 """Learning gives way to acting when both want the same core."""
+EVOLVER = "evolver"
+INSTANCES = {
+    "recorder": "log", "memory": "store", "optimizer": "action", "robot": "body", "teacher": "script", "ear": "notes",
+}  # fmt: skip
+"""The only instance of each role, as its class says; an evolver's is its model. Known before a class is imported."""
 CONNECT_S = 10.0
 PORT_FREE_S = 5.0
 
@@ -52,7 +58,7 @@ def run_router(options: RouterOptions, stop: Stopper) -> None:
     listen, changed = options.listen, _changes(options.keys)
     bound_s = 0.0
     while not stop():
-        router = _router(options, listen, bound_s)
+        router = open_router(options, listen, bound_s)
         endpoint = router.endpoint()
         listen, bound_s = endpoints.with_port_of(router.listen, endpoint), PORT_FREE_S
         _say_where(options.run, endpoint)
@@ -62,9 +68,12 @@ def run_router(options: RouterOptions, stop: Stopper) -> None:
         router.close()
 
 
-def _router(options: RouterOptions, listen: str | None, bound_s: float) -> Router:
-    """Start a router, trying again within the bound: its predecessor's port is free a moment after it has closed."""
-    deadline = time.monotonic() + bound_s
+def open_router(options: RouterOptions, listen: str | None = None, bound_s: float = 0.0) -> Router:
+    """Start a router at `listen`, or where the options say.
+
+    Tries again within the bound: its predecessor's port is free a moment after it has closed.
+    """
+    listen, deadline = listen or options.listen, time.monotonic() + bound_s
     while True:
         try:
             return Router(
@@ -125,7 +134,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
     builders: dict[str, Callable[[Bus], Service]] = {
         "recorder": lambda bus: _recorder(bus, run_folder),
         "memory": lambda bus: _memory(bus, experiment, run_folder),
-        "evolver": lambda bus: _evolver(bus, experiment, options.model),
+        EVOLVER: lambda bus: _evolver(bus, experiment, options.model),
         "optimizer": lambda bus: _optimizer(bus, experiment),
         "robot": lambda bus: experiment.robot_service(bus, run_folder, gui=options.gui),
         "teacher": experiment.teacher_service,
@@ -133,6 +142,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
     }
     if name not in builders:
         raise ConfigError(f"no service {name!r}; there are router, {', '.join(builders)}")
+    instance = options.model or "" if name == EVOLVER else INSTANCES[name]
     try:
         bus = ZenohBus(
             experiment.brain.experiment.brain,
@@ -147,11 +157,14 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
             return
         raise
     try:
+        if instance and not hold(bus, name, instance, stop):  # before it is built: a robot shows itself then
+            bus.close()
+            return
         service = builders[name](bus)
     except BaseException:
         bus.close()
         raise
-    run(service, stop)
+    run(service, stop, run_folder)
 
 
 def _recorder(bus: Bus, run_folder: Path) -> Service:

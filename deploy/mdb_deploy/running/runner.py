@@ -119,7 +119,8 @@ class Runner:
         return time.monotonic() - child.started_s > STALE_S and child.spec.token in self._alive()
 
     def _somebody(self, spec: ProcessSpec) -> bool:
-        return not spec.awaits or any(name.startswith(f"{spec.awaits}/") for name in self._alive())
+        roles = {name.partition("/")[0] for name in self._alive()} if spec.awaits else set()
+        return roles.issuperset(spec.awaits)
 
     async def _pause(self, child: Child) -> None:
         if self._stopping:

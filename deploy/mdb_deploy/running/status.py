@@ -10,6 +10,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,15 @@ from rich.live import Live
 from rich.table import Table
 
 from mdb_protocol import codec, keys
+from mdb_protocol.bundle import brains_of
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import QueryError
 from mdb_protocol.messages import Status
 from mdb_protocol.zenoh_bus import ZenohBus
 
 QUERY_S = 2.0
+NOBODY = "nobody"
+"""The brain of a bus that only asks which brains there are."""
 COLUMNS = ("service", "pid", "up", "msg/s", "queue", "behind", "refused", "dropped", "memory")
 BEHIND = "behind"
 """A figure of this name, or that begins with it and a dot, is a number of versions."""
@@ -100,36 +104,75 @@ def _ask(bus: Bus, name: str) -> Row:
 
 
 def show_status(
-    brain: str,
+    brain: str | None,
     connect: str,
     credentials: Path | None = None,
     *,
     as_json: bool = False,
     every_s: float | None = None,
 ) -> int:
-    """Print a row for each living service, or a line of JSON; with `every_s` again and again, until interrupted.
+    """Print a row for each living service, or a line of JSON a brain; with `every_s` again and again, until
+    interrupted.
 
-    Return 1 when nobody lives.
+    Without a brain's name all brains of the router are shown. Return 1 when nobody lives.
     """
-    where = f"mdb/{brain} at {connect}"
-    with ZenohBus(brain, connect, credentials=credentials, connect_timeout_s=1.0) as bus:
+    with ExitStack() as opened:
+        asked = Asked(connect, credentials, opened)
         if as_json:
-            rows = _repeat(bus, lambda rows: _print_json(rows, brain, connect), every_s)
+            found = _repeat(asked, brain, lambda found: _print_all(found, connect), every_s)
         elif every_s is None:
-            rows = _repeat(bus, lambda rows: Console().print(_table(rows, where)), None)
+            found = _repeat(asked, brain, lambda found: Console().print(_tables(found, connect)), None)
         else:
-            with Live(console=Console(), auto_refresh=False) as live:
-                rows = _repeat(bus, lambda rows: live.update(_table(rows, where), refresh=True), every_s)
-    return 0 if rows else 1
+            live = opened.enter_context(Live(console=Console(), auto_refresh=False))
+            found = _repeat(asked, brain, lambda found: live.update(_tables(found, connect), refresh=True), every_s)
+    return 0 if any(found.values()) else 1
 
 
-def _repeat(bus: Bus, show: Callable[[list[Row]], None], every_s: float | None) -> list[Row]:
+class Asked:
+    """Buses to the brains of one router, kept open as long as somebody watches."""
+
+    def __init__(self, connect: str, credentials: Path | None, opened: ExitStack) -> None:
+        self._connect, self._credentials, self._opened = connect, credentials, opened
+        self._buses: dict[str, ZenohBus] = {}
+
+    def brains(self) -> list[str]:
+        """Return the names of all brains that can be seen."""
+        if self._credentials is not None:
+            return brains_of(self._credentials)
+        return self.bus(NOBODY).brains()
+
+    def bus(self, brain: str) -> ZenohBus:
+        """Return the bus to a brain."""
+        if brain not in self._buses:
+            bus = ZenohBus(brain, self._connect, credentials=self._credentials, connect_timeout_s=1.0)
+            self._buses[brain] = bus
+            self._opened.callback(bus.close)
+        return self._buses[brain]
+
+
+Found = dict[str, list[Row]]
+"""The rows of each brain."""
+
+
+def _repeat(asked: Asked, brain: str | None, show: Callable[[Found], None], every_s: float | None) -> Found:
     while True:
-        rows = rows_of(bus)
-        show(rows)
+        names = [brain] if brain is not None else asked.brains()
+        found = {name: rows_of(asked.bus(name)) for name in names}
+        show(found)
         if every_s is None:
-            return rows
+            return found
         time.sleep(every_s)
+
+
+def _print_all(found: Found, connect: str) -> None:
+    for brain, rows in found.items():
+        _print_json(rows, brain, connect)
+
+
+def _tables(found: Found, connect: str) -> RenderableType:
+    if not found:
+        return f"nobody is alive at {connect}"
+    return Group(*(_table(rows, f"mdb/{brain} at {connect}") for brain, rows in found.items()))
 
 
 def _print_json(rows: list[Row], brain: str, connect: str) -> None:

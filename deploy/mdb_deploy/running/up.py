@@ -10,19 +10,20 @@ import contextlib
 import fcntl
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mdb_deploy.running.compose import OPTIMIZER, ROBOT, ROUTER, TEACHER, for_experiment, read
-from mdb_deploy.running.processes import ENDPOINT_FILE
+from mdb_deploy.running.compose import OPTIMIZER, ROBOT, ROUTER, TEACHER, elsewhere, for_experiment, read
 from mdb_deploy.running.progress import Progress
 from mdb_deploy.running.runner import Runner, StartError
-from mdb_protocol import endpoints, keys
+from mdb_deploy.running.watch import JOIN_S, Watch
+from mdb_protocol import endpoints
 from mdb_protocol.bundle import Bundle
-from mdb_protocol.errors import BusError, MdbError
+from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.shell.holding import hold
 from mdb_sim.runs.experiment import Experiment
 
 LOCK_FILE = "lock"
@@ -43,6 +44,16 @@ class UpOptions:
     open_to_everyone: bool = False
     await_teacher: bool = False
     """Let the experiment begin when somebody has come to teach."""
+    await_robot: bool = False
+    """Start no robot: let the experiment begin when one has come."""
+    connect: str | None = None
+    """Start no router: join this one."""
+
+
+def check_connect(connect: str, keys: Path | None, brain: str) -> None:
+    """Raise BusError, before anything is started, when no router answers there, or another runs this brain there."""
+    with ZenohBus(brain, connect, credentials=keys, connect_timeout_s=JOIN_S) as bus:
+        hold(bus, Watch.role, Watch.instance)
 
 
 def check_listen(listen: str, keys: Path | None, brain: str, *, open_to_everyone: bool) -> None:
@@ -108,23 +119,31 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
-    watch = _Watch(experiment, options)
+    watch = Watch(experiment, options.run, options.keys, await_robot=options.await_robot)
     variables = {
         "MDB_RUN_INSIDE": str(options.run),
         "MDB_LISTEN": options.listen,
-        "MDB_CONNECT": "",
+        "MDB_CONNECT": options.connect or "",
         "MDB_KEYS": str(options.keys or ""),
         "MDB_OPEN": "--open-to-everyone" if options.open_to_everyone else "",
     }
     specs = for_experiment(read(), experiment)
-    if options.gui:
+    if options.gui and not options.await_robot:
         specs[ROBOT] = replace(specs[ROBOT], command=(*specs[ROBOT].command, "--gui"))
-    if options.await_teacher:
-        specs[OPTIMIZER] = replace(specs[OPTIMIZER], awaits=TEACHER)
+    if options.await_teacher or options.await_robot:
+        awaits = ((TEACHER, options.await_teacher), (ROBOT, options.await_robot))
+        specs[OPTIMIZER] = replace(specs[OPTIMIZER], awaits=tuple(role for role, wanted in awaits if wanted))
+    if options.await_robot:
+        specs = elsewhere(specs, ROBOT)
+    if options.connect is not None:
+        specs = elsewhere(specs, ROUTER)
     runner = Runner(specs, variables, options.run / "logs", watch.alive)
-    watch.on_endpoint = lambda found: runner.connect(found, endpoints.with_port_of(options.listen, found))
+    if options.connect is None:
+        watch.on_endpoint = lambda found: runner.connect(found, endpoints.with_port_of(options.listen, found))
     status = 0
     try:
+        if options.connect is not None:
+            watch.join(options.connect)
         with progress:
             starting = asyncio.create_task(runner.start(progress.ready))
             stopped = asyncio.create_task(stop.wait())
@@ -141,7 +160,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
     return ENDED_BY_USER if stop.is_set() else status
 
 
-async def _follow(watch: _Watch, runner: Runner, stop: asyncio.Event, progress: Progress) -> int:
+async def _follow(watch: Watch, runner: Runner, stop: asyncio.Event, progress: Progress) -> int:
     """Show the run until it is finished, stopped or stalled."""
     moved_s, stalled_s = time.monotonic(), STALLED_S + watch.patience_s
     while not stop.is_set():
@@ -155,60 +174,3 @@ async def _follow(watch: _Watch, runner: Runner, stop: asyncio.Event, progress: 
             raise StartError(f"no iteration for {stalled_s:g} s; the logs of the processes are beside the run's log")
         await asyncio.sleep(POLL_S)
     return ENDED_BY_USER
-
-
-class _Watch:
-    """What the runner's own process hears of the brain: who is alive, and the progress."""
-
-    def __init__(self, experiment: Experiment, options: UpOptions) -> None:
-        self._brain = experiment.brain.experiment.brain
-        settings = experiment.brain.optimizer
-        self.patience_s = settings.command_patience_s + settings.feedback_patience_s
-        """How long a teacher who hesitates may hold up an iteration."""
-        self._keys = options.keys
-        self._endpoint = options.run / ENDPOINT_FILE
-        self._endpoint.unlink(missing_ok=True)
-        self._bus: ZenohBus | None = None
-        self.on_endpoint: Callable[[str], None] = lambda _: None
-
-    def alive(self) -> frozenset[str]:
-        """Return the liveliness tokens, and the router's name once it answers."""
-        if self._bus is None and self._endpoint.exists():
-            self._join(self._endpoint.read_text(encoding="utf-8"))
-        if self._bus is None or not self._bus.connected():
-            return frozenset()
-        return self._bus.alive() | {ROUTER}
-
-    def _join(self, endpoint: str) -> None:
-        try:
-            self._bus = ZenohBus(self._brain, endpoint, credentials=self._keys, connect_timeout_s=0.0)
-        except BusError:
-            return
-        self._reports = self._bus.subscriber(keys.ITERATION)
-        self._scenes = self._bus.subscriber(keys.SCENE)
-        self._phases = self._bus.subscriber(keys.PHASE)
-        self._models = self._bus.subscriber(keys.CURRENT_MODEL)
-        self._finished = self._bus.subscriber(keys.FINISHED)
-        self.on_endpoint(endpoint)
-
-    def show(self, progress: Progress) -> bool:
-        """Hand what has come to the display; return whether an iteration was among it."""
-        moved = False
-        while (phase := self._phases.take()) is not None:
-            progress.phase(phase)
-        while (model := self._models.take()) is not None:
-            progress.model(model)
-        while (scene := self._scenes.take()) is not None:
-            progress.scene(scene)
-        while (report := self._reports.take()) is not None:
-            progress.report(report)
-            moved = True
-        return moved
-
-    def finished(self) -> bool:
-        """Whether the optimizer has said that the experiment is over."""
-        return self._finished.take() is not None
-
-    def close(self) -> None:
-        if self._bus is not None:
-            self._bus.close()

@@ -15,6 +15,7 @@ from mdb_protocol.messages.basics import (
     Judges,
     Message,
     Name,
+    Text,
     Values,
     Versions,
     check_finite,
@@ -75,7 +76,8 @@ class Status(Message, frozen=True, kw_only=True):
 
     `refused` counts by key what could not be read or used, `dropped` what there was no room for; `rate_hz` are the
     messages that it took a second of late, `queued` those that wait now, `memory_bytes` what it has in memory (0: the
-    system does not say). A value `behind`, or `behind.NAME`, is how many versions of a memory or model it lags.
+    system does not say), `host` and the `run` folder where it lives. A value `behind`, or `behind.NAME`, is how many
+    versions of a memory or model it lags.
     """
 
     role: Name
@@ -88,3 +90,5 @@ class Status(Message, frozen=True, kw_only=True):
     rate_hz: float = 0.0
     queued: Count = 0
     memory_bytes: Count = 0
+    host: Text = ""
+    run: Text = ""

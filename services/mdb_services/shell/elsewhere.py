@@ -7,7 +7,9 @@ and the time.
 
 from __future__ import annotations
 
-BELIEVED_AFTER_S = 1.0
+from mdb_protocol.duties import INSISTS_S
+
+BELIEVED_AFTER_S = INSISTS_S
 """So long must the other side insist: a robot and an optimizer that wait both say theirs several times in it."""
 
 

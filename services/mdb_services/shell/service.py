@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 import time
 from collections import deque
@@ -110,8 +111,8 @@ def memory_bytes() -> int:
         return 0
 
 
-def announce(service: Service) -> Meter:
-    """Answer status queries and declare the liveliness token, last: it means ready.
+def announce(service: Service, folder: Path | None = None) -> Meter:
+    """Answer status queries and declare the liveliness token, last: it means ready. `folder`: the run's.
 
     The meter that is returned wants to be ticked.
     """
@@ -130,6 +131,8 @@ def announce(service: Service) -> Meter:
             rate_hz=meter.rate_hz(),
             queued=service.bus.queued(),
             memory_bytes=memory_bytes(),
+            host=socket.gethostname(),
+            run=str(folder or ""),
         )
 
     service.bus.queryable(keys.STATUS, status, role=service.role, instance=service.instance)
@@ -137,15 +140,17 @@ def announce(service: Service) -> Meter:
     return meter
 
 
-def run(service: Service, stop: Callable[[], bool]) -> None:
+def run(service: Service, stop: Callable[[], bool], folder: Path | None = None) -> None:
     """Run a service in this thread until told to stop; a failing step is logged and tried again.
+
+    `folder` is the run's, for those who ask.
 
     Re-raises the error when steps fail `FAILURES_IN_A_ROW` times, so that the supervisor restarts it.
     """
     failures = 0
     sys.setswitchinterval(SWITCH_S)
     try:
-        meter = announce(service)
+        meter = announce(service, folder)
         log.info("ready", role=service.role, instance=service.instance)
         while not stop():
             service.bus.wait(min(WAIT_S, service.due_in_s()) if isinstance(service, Timed) else WAIT_S)

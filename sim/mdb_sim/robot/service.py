@@ -20,6 +20,7 @@ import structlog
 
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
+from mdb_protocol.duties import SHOWN_AGAIN_S
 from mdb_services.shell.elsewhere import Elsewhere
 from mdb_sim.body import Body, BodyError, Drawable, Imaging, check
 from mdb_sim.robot.acting import Acting
@@ -30,8 +31,6 @@ from mdb_sim.robot.state_file import StateFile
 log = structlog.get_logger()
 
 ROLE = "robot"
-SHOWN_AGAIN_S = 0.25
-"""What is perceived is shown again after this, as long as no action comes."""
 WATCHING = ("teacher/", "viewer/")
 """Whose liveliness tokens mean that somebody watches, ..."""
 SCRIPT = "teacher/script"

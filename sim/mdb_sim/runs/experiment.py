@@ -124,19 +124,21 @@ class Experiment:
             raise ConfigError("the experiment file has no [teacher] section with [[teacher.phase]] entries")
         return schedule_of(self.teacher, self.brain.experiment.seed, self.folder)
 
-    def check_machine(self) -> None:
+    def check_machine(self, *, elsewhere: bool = False) -> None:
         """Raise ConfigError that names each difference between the file and the body that it names.
 
-        Imports what the body needs, so it is asked for before a run, not whenever a file is read.
+        Imports what the body needs, so it is asked for before a run, not whenever a file is read. A robot `elsewhere`
+        is not known yet; `mdb check-robot` looks at it.
         """
         try:
-            spec = spec_of(self.robot.body, self.robot.options, self.folder)
+            spec = None if elsewhere else spec_of(self.robot.body, self.robot.options, self.folder)
         except BodyError as error:
             raise ConfigError(f"{self._source}: {error}") from error
         policy = self.schedule().policy if self.teacher is not None else None
         found = differences(self.brain, self.robot, spec, policy)
         if found:
-            raise ConfigError(f"{self._source}: body {self.robot.body!r} is another one: " + "; ".join(found))
+            body = "" if elsewhere else f"body {self.robot.body!r} is another one: "
+            raise ConfigError(f"{self._source}: {body}" + "; ".join(found))
 
     def body(self, *, gui: bool = False) -> Body:
         """Make the robot's body; ConfigError when it cannot be had."""

@@ -28,8 +28,11 @@ class Declared(Protocol):
         """What changes, before the action of which iteration."""
 
 
-def differences(brain: BrainConfig, robot: Declared, spec: Spec, policy: Policy | None) -> list[str]:
-    """Return what of a file does not fit, each in words; nothing when all fits."""
+def differences(brain: BrainConfig, robot: Declared, spec: Spec | None, policy: Policy | None) -> list[str]:
+    """Return what of a file does not fit, each in words; nothing when all fits. Without `spec` only the teacher's."""
+    notes = _notes(brain, policy) if policy is not None else ()
+    if spec is None:
+        return [*notes]
     found = [*_actions(brain, spec), *_sensors(brain, spec)]
     words = {*spec.events, TIMEOUT}
     for setting, events in (("successes", robot.successes), ("ends", robot.ends)):
@@ -50,8 +53,12 @@ def differences(brain: BrainConfig, robot: Declared, spec: Spec, policy: Policy 
         if name not in spec.changes
     ]
     if policy is not None:
-        found += _teaching(brain, spec, policy)
-    return found
+        found += [
+            f"the teacher's policy looks at {name!r}, which its scene does not have ({_listed(spec.scene)})"
+            for name in policy.needs
+            if name not in spec.scene
+        ]
+    return [*found, *notes]
 
 
 def _actions(brain: BrainConfig, spec: Spec) -> Iterator[str]:
@@ -89,10 +96,7 @@ def _sensors(brain: BrainConfig, spec: Spec) -> Iterator[str]:
             yield f"channels.{name}: the sensor gives {theirs[name].numbers} numbers, not {channel.numbers}"
 
 
-def _teaching(brain: BrainConfig, spec: Spec, policy: Policy) -> Iterator[str]:
-    for name in policy.needs:
-        if name not in spec.scene:
-            yield f"the teacher's policy looks at {name!r}, which its scene does not have ({_listed(spec.scene)})"
+def _notes(brain: BrainConfig, policy: Policy) -> Iterator[str]:
     notes = brain.variables()["note"].indices if "note" in brain.channels else None
     if notes is not None and notes != len(policy.commands):
         yield f"the teacher's policy has {len(policy.commands)} commands, but channels.note {notes} notes"

@@ -1,0 +1,145 @@
+"""What `mdb up` itself hears of its brain, and says: who is alive, the progress, and that this name is taken.
+
+Owns the runner's own bus. It holds the brain's name on the router, so that a second `mdb up` of the name is refused
+before it has started anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import structlog
+
+from mdb_deploy.running.compose import ROBOT, ROUTER
+from mdb_deploy.running.processes import ENDPOINT_FILE
+from mdb_deploy.running.progress import Progress
+from mdb_protocol import keys
+from mdb_protocol.bus import Bus
+from mdb_protocol.errors import BusError
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.shell.holding import hold
+from mdb_services.shell.service import Meter, announce
+from mdb_services.shell.whole_file import write_whole
+from mdb_sim.runs.experiment import Experiment
+
+log = structlog.get_logger()
+
+JOIN_S = 2.0
+"""Bound on joining a router that runs."""
+
+
+class Watch:
+    """See the module's docstring."""
+
+    role, instance = "runner", "up"
+    bus: Bus
+    """There once a router is joined."""
+
+    def __init__(
+        self, experiment: Experiment, run: Path, credentials: Path | None, *, await_robot: bool = False
+    ) -> None:
+        """`await_robot`: of a robot of somebody else's it is not told before it stands where the run begins."""
+        self._brain = experiment.brain.experiment.brain
+        settings = experiment.brain.optimizer
+        self.patience_s = settings.command_patience_s + settings.feedback_patience_s
+        """How long a teacher who hesitates may hold up an iteration."""
+        self._run, self._credentials = run, credentials
+        self._endpoint = run / ENDPOINT_FILE
+        self._endpoint.unlink(missing_ok=True)
+        self._bus: ZenohBus | None = None
+        self._meter: Meter | None = None
+        self._iteration = 0
+        self._awaited = await_robot and not (run / MEMORY_FILE).exists()
+        """Whether a robot is awaited that has not acted: one of an earlier run has another count."""
+        self._elsewhere = False
+        self.on_endpoint: Callable[[str], None] = lambda _: None
+
+    def join(self, endpoint: str) -> None:
+        """Join a router that runs, and say in the run folder where it is.
+
+        Raises BusError when it does not answer, TakenError when this brain is somebody else's there.
+        """
+        self._join(ZenohBus(self._brain, endpoint, credentials=self._credentials, connect_timeout_s=JOIN_S))
+        write_whole(self._endpoint, endpoint.encode())
+
+    def alive(self) -> frozenset[str]:
+        """Return the liveliness tokens, and the router's name once it answers: its own router says where it is."""
+        if self._bus is None and self._endpoint.exists():
+            self._find(self._endpoint.read_text(encoding="utf-8"))
+        if self._bus is None or not self._bus.connected():
+            return frozenset()
+        self._serve()
+        alive = self._bus.alive() | {ROUTER}
+        if self._awaited:
+            self._meet()
+        return alive if not self._awaited else frozenset(n for n in alive if n.partition("/")[0] != ROBOT)
+
+    def _meet(self) -> None:
+        """Look whether the robot that is awaited stands where the run begins."""
+        shown = self._perceptions.take()
+        if shown is None:
+            return
+        self._awaited = shown.iteration > 0
+        if self._awaited and not self._elsewhere:
+            log.warning("the robot has acted in an earlier run; start it again: it is awaited", at=shown.iteration)
+        self._elsewhere = self._awaited
+
+    def _find(self, endpoint: str) -> None:
+        try:
+            bus = ZenohBus(self._brain, endpoint, credentials=self._credentials, connect_timeout_s=0.0)
+        except BusError:
+            return
+        self._join(bus)
+        self.on_endpoint(endpoint)
+
+    def _join(self, bus: ZenohBus) -> None:
+        self._bus = self.bus = bus
+        hold(bus, self.role, self.instance)
+        self._meter = announce(self, self._run)
+        self._perceptions = bus.subscriber(keys.PERCEPTION)
+        self._reports = bus.subscriber(keys.ITERATION)
+        self._scenes = bus.subscriber(keys.SCENE)
+        self._phases = bus.subscriber(keys.PHASE)
+        self._models = bus.subscriber(keys.CURRENT_MODEL)
+        self._finished = bus.subscriber(keys.FINISHED)
+
+    def _serve(self) -> None:
+        """Answer who asks how we are."""
+        self.bus.serve()
+        if self._meter is not None:
+            self._meter.tick()
+
+    def show(self, progress: Progress) -> bool:
+        """Hand what has come to the display; return whether an iteration was among it."""
+        moved = False
+        self._serve()
+        while (phase := self._phases.take()) is not None:
+            progress.phase(phase)
+        while (model := self._models.take()) is not None:
+            progress.model(model)
+        while (scene := self._scenes.take()) is not None:
+            progress.scene(scene)
+        while (report := self._reports.take()) is not None:
+            progress.report(report)
+            self._iteration = report.iteration
+            moved = True
+        return moved
+
+    def finished(self) -> bool:
+        """Whether the optimizer has said that the experiment is over."""
+        return self._finished.take() is not None
+
+    def step(self) -> bool:
+        """Do nothing: the runner's own loop asks for what it wants."""
+        return False
+
+    def values(self) -> dict[str, float]:
+        """Return the newest iteration."""
+        return {"iteration": float(self._iteration)}
+
+    def close(self) -> None:
+        """Leave the router, if one was joined."""
+        if self._bus is not None:
+            self._bus.close()
