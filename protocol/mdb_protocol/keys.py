@@ -28,7 +28,9 @@ class Delivery(Enum):
     """How a key's values travel."""
 
     LATEST = "latest value: may drop, a reader keeps only the newest; a late joiner gets the last"
-    RELIABLE = "reliable: in order, none lost while connected; a late joiner gets what comes, and may get some before"
+    RELIABLE = (
+        "reliable: in order, none lost while connected; a late joiner gets what comes, perhaps older ones first"
+    )
     LATCHED = "latched: reliable, and a late joiner gets the last"
     QUERY = "query: answered when asked"
     TOKEN = "liveliness token: there while its owner lives"
@@ -315,7 +317,7 @@ def table() -> str:
             or {
                 Delivery.LATEST: "the last",
                 Delivery.LATCHED: "the last",
-                Delivery.RELIABLE: "what comes, perhaps some before",
+                Delivery.RELIABLE: "what comes, perhaps older ones first",
                 Delivery.QUERY: "asks",
                 Delivery.TOKEN: "all that live",
             }[row.delivery]

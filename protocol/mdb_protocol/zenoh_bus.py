@@ -5,7 +5,7 @@ service's own thread in `serve`. Reliable and latched keys use Zenoh's advanced 
 late joiners and recovery read); latest-value keys drop under congestion unless the bus is `lossless`.
 
 Recovery cannot tell a reader who missed samples from one who came late: from a reliable publisher who said nothing
-new before his next heartbeat, a late joiner gets all of the cache. So a reader must bear older messages at first.
+new before his next heartbeat, a late joiner gets all of the cache. So a reader must expect older messages at first.
 """
 
 from __future__ import annotations

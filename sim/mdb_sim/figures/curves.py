@@ -17,6 +17,7 @@ from mdb_sim.figures.four_to_six import BLUE, GREEN, INK, MUTED, ORANGE, band, n
 from mdb_sim.runs import measures
 from mdb_sim.runs.record import Doubles
 from mdb_sim.studies.rows import Curve, PhaseRow
+from mdb_sim.studies.tables import STOPPED
 from mdb_sim.verdicts.acceptance import ALONE_WORST
 from mdb_sim.verdicts.quantities import Runs, phases_of
 from mdb_sim.verdicts.statistics import estimate
@@ -29,8 +30,6 @@ VARIANT_COLOURS = (BLUE, ORANGE, GREEN, MUTED)
 SIDE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8A4F7D")
 ERROR_TOP = 1.2
 """An error axis ends here at the latest."""
-STOPPED = "learning stopped"
-"""How a variant ends in which nothing is learnt from a change on (`tables.STOPPED`)."""
 RATE = 50
 """Captures are counted over so many iterations."""
 ERRORS: tuple[tuple[str, Callable[[PhaseRow], Doubles]], ...] = (

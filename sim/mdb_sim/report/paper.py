@@ -357,7 +357,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "Any teacher can teach any machine any behaviour that it can carry out.",
         "adapted",
-        "The brain knows no machine; body and scripted teacher here are of one robot and one task. Teachers who err: "
-        "section 3.",
+        "The brain knows no machine. This report is of one robot and one task; others are taught by an experiment "
+        "file (`README.md`). Teachers who err: section 3.",
     ),
 )

@@ -231,14 +231,10 @@ def ablation(section: Section) -> str:
     )
 
 
-SHOWN = ("before", "at", "after")
-"""The windows of `readapt` that are shown, by their phases' names."""
-
-
 def readapt(section: Section) -> str:
     """Before, at and after a change of the body, as shares of what that body's ideal captures."""
     runs = section.runs
-    shares = [quantity(runs, SHARE, row.phase, row.name) for row in phases_of(runs) if row.name in SHOWN]
+    shares = [quantity(runs, SHARE, row.phase, row.name) for row in phases_of(runs)[1:]]
     head = ["variant", *(f"{share.name}, median [95 %]" for share in shares), "after, worst (seed)"]
     rows = []
     for variant in runs:

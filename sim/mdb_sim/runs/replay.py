@@ -216,11 +216,13 @@ class _Answers:
         yield from self._early
 
     def _is_early(self, recorded: Recorded) -> bool:
+        if not self._answered:
+            return False
         match recorded.message:
             case messages.PairStored(iteration=iteration, judged=judged):
-                return self._answered and (iteration, judged) not in self._sent
+                return (iteration, judged) not in self._sent
             case messages.Perception(done=messages.Action(iteration=iteration)):
-                return self._answered and iteration > self._acted
+                return iteration > self._acted
         return False
 
 

@@ -23,13 +23,13 @@ class Study:
 
 
 REPORTED = (
-    Study("reproduction", "figures 4 to 6 of the paper, with graded and with binary reward", "3001-3050"),
-    Study("paper", "the paper as written, and what each of our additions brings", "3001-3020"),
-    Study("teachers", "teachers as they are: late, wrong, silent, binary, relative", "3001-3020"),
-    Study("learners", "other learners in the closed loop, and players without our mechanism", "3001-3020"),
-    Study("memory", "teachers A, B, A, B, A, who err or not, with long-term memory and without", "3001-3020", True),
-    Study("life", "five teachers in a row, and the robot alone after each", "3001-3020", True),
-    Study("alone", "the goal: each phase alone against that seed's ideal", "3001-3100"),
+    Study("reproduction", "figures 4 to 6 of the paper, with graded and with binary reward", "4101-4150"),
+    Study("paper", "the paper as written, and what each of our additions brings", "4101-4106"),
+    Study("teachers", "teachers as they are: late, wrong, silent, binary, relative", "4101-4104"),
+    Study("learners", "other learners in the closed loop, and players without our mechanism", "4101-4104"),
+    Study("memory", "teachers A, B, A, B, A, who err or not, with long-term memory and without", "4101-4104", True),
+    Study("life", "five teachers in a row, and the robot alone after each", "4101-4106", True),
+    Study("alone", "the goal: each phase alone against that seed's ideal", "4101-4200"),
 )
 """What the report is made of, in its order."""
 STUDIES = {

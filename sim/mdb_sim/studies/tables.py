@@ -317,6 +317,7 @@ BODY_CHANGES: tuple[tuple[str, dict[str, object]], ...] = (
 )
 """What changes of a Pioneer: settings of `[[robot.change]]`."""
 STOPPED = "learning stopped"
+"""How a variant's name ends in which nothing is learnt from the change on."""
 
 
 def readapt(experiment: Experiment) -> list[Variant]:
