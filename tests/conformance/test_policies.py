@@ -272,9 +272,9 @@ def test_the_guide_measures_by_what_one_action_can_win():
 @pytest.mark.parametrize(
     ("ahead_m", "aside_m", "command"),
     [
-        (1.5, 0.0, "ahead"), (1.5, 0.5, "left 18"), (1.5, -0.5, "right 18"), (1.0, 1.0, "left 45"),
-        (0.0, 0.5, "back, left 39"), (0.0, -0.5, "back, right 39"), (-1.5, -0.1, "back, right 39"),
-        (0.1, 1.5, "left 45"), (-1.5, 0.1, "back, left 39"),
+        (1.5, 0.0, "ahead"), (1.5, 0.5, "left 17"), (1.5, -0.5, "right 17"), (1.0, 1.0, "left 45"),
+        (0.0, 0.5, "back, left 41"), (0.0, -0.5, "back, right 41"), (-1.5, -0.1, "back, right 41"),
+        (0.1, 1.5, "left 45"), (-1.5, 0.1, "back, left 41"),
     ],
 )  # fmt: skip
 def test_the_driver_backs_off_from_a_ball_that_no_curve_leads_to(ahead_m, aside_m, command):

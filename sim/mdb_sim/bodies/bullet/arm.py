@@ -41,7 +41,7 @@ class IiwaArm(BulletMachine):
 
     places = ("base", "shoulder", "elbow", "target_x_m", "target_y_m", "target_z_m")
 
-    def __init__(self, *, turn_rad: float = 0.4, reached_m: float = 0.03) -> None:
+    def __init__(self, *, turn_rad: float = 0.25, reached_m: float = 0.03) -> None:
         """BodyError when an option is out of its bounds."""
         if not 0.0 < turn_rad <= 1.0 or not 0.0 < reached_m <= NEAREST_M:
             raise BodyError(
@@ -59,7 +59,7 @@ class IiwaArm(BulletMachine):
         self._rest: int = pybullet.saveState(physicsClientId=self._client)
 
     @staticmethod
-    def spec_of(*, turn_rad: float = 0.4, reached_m: float = 0.03) -> Spec:
+    def spec_of(*, turn_rad: float = 0.25, reached_m: float = 0.03) -> Spec:
         """Return what such an arm has, without making one."""
         del reached_m
         return spec_of(turn_rad)

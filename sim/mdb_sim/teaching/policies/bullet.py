@@ -20,16 +20,17 @@ class Manoeuvre(NamedTuple):
 
 MANOEUVRES = {
     "right 45": Manoeuvre(-0.6, 1.0, -45.0),
-    "right 18": Manoeuvre(-0.25, 1.0, -18.0),
+    "right 17": Manoeuvre(-0.25, 1.0, -17.5),
     "ahead": Manoeuvre(0.0, 1.0, 0.0),
-    "left 18": Manoeuvre(0.25, 1.0, 18.0),
+    "left 17": Manoeuvre(0.25, 1.0, 17.5),
     "left 45": Manoeuvre(0.6, 1.0, 45.0),
-    "back, left 39": Manoeuvre(-0.6, -1.0, 39.0),
-    "back, right 39": Manoeuvre(0.6, -1.0, -39.0),
+    "back, left 41": Manoeuvre(-0.6, -1.0, 41.0),
+    "back, right 41": Manoeuvre(0.6, -1.0, -41.0),
 }
 """What can be wanted, with the turns that were measured (sim/README.md, "The car")."""
-TOLERANCE_DEG = 27.0
-"""A turn so far from the one that was wanted is worth 0, twice as far -1 (ours)."""
+UNSEEN_DEG, TOLERANCE_DEG = 5.0, 22.0
+"""A turn that is wrong by no more than the first looks right; one that is wrong by so much more as the second is
+worth 0, twice so much more -1 (ours). Turns err by up to 5 degrees, as the tyres slip."""
 WRONG_GEAR = 1.0
 """So much less is it worth to drive ahead in the place of back, or back in the place of ahead (ours)."""
 CIRCLE_M, CLEAR_M = 0.475, 0.2
@@ -51,7 +52,7 @@ class Drive:
         bearing_rad = math.atan2(aside_m, ahead_m)
         from_centre_m = math.hypot(ahead_m, abs(aside_m) - CIRCLE_M)
         if from_centre_m < CIRCLE_M - CLEAR_M or abs(bearing_rad) > SIDE_RAD:
-            return self.commands.index("back, left 39" if bearing_rad > 0.0 else "back, right 39")
+            return self.commands.index("back, left 41" if bearing_rad > 0.0 else "back, right 41")
         return min(range(5), key=lambda c: abs(bearing_rad - math.radians(MANOEUVRES[self.commands[c]].turn_deg)))
 
     def judge(self, before: Mapping[str, float], after: Mapping[str, float], event: str, wanted: int) -> float:
@@ -71,7 +72,8 @@ class Drive:
 
     def _worth(self, turn_deg: float, gear: float, wanted: int) -> float:
         manoeuvre = MANOEUVRES[self.commands[wanted]]
-        miss = abs(math.remainder(turn_deg - manoeuvre.turn_deg, 360.0)) / TOLERANCE_DEG
+        wrong_deg = abs(math.remainder(turn_deg - manoeuvre.turn_deg, 360.0))
+        miss = max(0.0, wrong_deg - UNSEEN_DEG) / TOLERANCE_DEG
         return max(-1.0, 1.0 - miss - WRONG_GEAR * (gear != manoeuvre.gear))
 
 
@@ -84,6 +86,9 @@ def _ball(scene: Mapping[str, float]) -> tuple[float, float]:
 
 Point = tuple[float, float, float]
 
+LEAST_M = 0.1
+"""What can be won counts as so much at least: else nearly all that is done close to the point is punished alike, and
+where it is right cannot be told (sim/README.md, "The arm")."""
 DIRECTIONS = ("left", "right", "up", "down", "out", "in")
 """As the arm's eye sees them: two angles, and away from it or towards it."""
 
@@ -96,7 +101,7 @@ class Guide:
     needs = ("x_m", "y_m", "z_m", "target_x_m", "target_y_m", "target_z_m")
 
     def __init__(
-        self, *, eye_m: Sequence[float] = (0.0, 0.0, 0.36), turn_rad: float = 0.4, out_m: float = 0.12
+        self, *, eye_m: Sequence[float] = (0.0, 0.0, 0.36), turn_rad: float = 0.25, out_m: float = 0.08
     ) -> None:
         """eye_m: where the eye is. turn_rad, out_m: how far the hand is to go in one action, at most."""
         if len(eye_m) != 3 or turn_rad <= 0.0 or out_m <= 0.0:
@@ -149,10 +154,6 @@ class Guide:
     def _off(self, hand: Point, target: Point) -> Point:
         """Return how far the target is to the left of the hand, above it, rad, and farther away, m."""
         return math.remainder(target[0] - hand[0], math.tau), target[1] - hand[1], target[2] - hand[2]
-
-
-LEAST_M = 1e-3
-"""Less than this cannot be won: so near is there."""
 
 
 def _apart_m(one: Sequence[float], other: Sequence[float]) -> float:
