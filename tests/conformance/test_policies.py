@@ -246,23 +246,23 @@ def test_the_guide_wants_the_hand_to_go_where_it_is_farthest_off(point, command)
 
 
 def test_the_guide_judges_by_the_distance_that_was_won():
-    guide, point = make_policy("guide", {}), (0.3, 0.1, 0.7)
+    guide, point = make_policy("guide", {}), (0.24, 0.1, 0.7)
     before, left, right = hand_and_point(HAND, point), 0, 1
 
     def judged(azimuth: float, wanted: int) -> float:
         return guide.judge(before, hand_and_point((azimuth, *HAND[1:]), point), NOTHING, wanted)
 
-    assert judged(0.3, left) == pytest.approx(1.0)
+    assert judged(0.24, left) == pytest.approx(1.0)
     assert judged(0.0, left) == pytest.approx(0.0)
-    assert judged(0.15, left) == pytest.approx(0.5, abs=0.01) == judged(0.45, left), "too far is as bad as too short"
-    assert judged(-0.35, left) == -1.0
-    assert judged(-0.4, right) == pytest.approx(1.0), "a command that leads away is meant, too"
-    assert judged(0.4, right) < -0.9
+    assert judged(0.12, left) == pytest.approx(0.5, abs=0.01) == judged(0.36, left), "too far is as bad as too short"
+    assert judged(-0.3, left) == -1.0
+    assert judged(-0.25, right) == pytest.approx(1.0), "a command that leads away is meant, too"
+    assert judged(0.25, right) < -0.9
 
 
 def test_the_guide_measures_by_what_one_action_can_win():
     guide, far = make_policy("guide", {}), (1.4, 0.1, 0.7)
-    after = hand_and_point((0.4, *HAND[1:]), far)
+    after = hand_and_point((0.25, *HAND[1:]), far)
     assert guide.judge(hand_and_point(HAND, far), after, NOTHING, 0) == pytest.approx(1.0)
 
 
