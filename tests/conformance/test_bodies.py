@@ -113,6 +113,23 @@ class TestMixedActions(BodyConformance):
         return make_body("gymnasium", {"env": "DoMixed-v0"})
 
 
+class TestArm(BodyConformance):
+    options = {"turn_rad": 0.3}  # noqa: RUF012
+
+    def make(self):
+        pytest.importorskip("pybullet")
+        return make_body("iiwa", self.options)
+
+
+class TestCar(BodyConformance):
+    actions = 40
+    options = {"place_max_m": 1.0}  # noqa: RUF012
+
+    def make(self):
+        pytest.importorskip("pybullet")
+        return make_body("racecar", self.options)
+
+
 class TestKinematicPioneer(PioneerConformance):
     def make(self, **options):
         return make_body("kinematic", options)

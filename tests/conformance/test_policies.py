@@ -15,6 +15,7 @@ from mdb_protocol import messages
 from mdb_sim.bodies.pioneer.world import Placement, Pose, scene_of
 from mdb_sim.body import NOTHING, Numbers
 from mdb_sim.teaching.languages import TeacherError, make_language
+from mdb_sim.teaching.policies.bullet import MANOEUVRES
 from mdb_sim.teaching.policies.pioneer import PAPERS_TURNS_DEG, Reach
 from mdb_sim.teaching.policies.plain import Named
 from mdb_sim.teaching.policy import MEMBERS, OBEYED, likest, make_policy, obeyed
@@ -164,6 +165,122 @@ class TestUpright(PolicyConformance):
 
     def obeying(self, policy, command):
         return {"torque": float(policy.commands[command])}
+
+
+class TestDrive(PolicyConformance):
+    def make(self):
+        return make_policy("drive", {})
+
+    def scenes(self):
+        numbers = dict.fromkeys(("x_m", "y_m", "ball_x_m", "ball_y_m"), METRES)
+        return st.fixed_dictionaries(numbers | {"heading_rad": HEADINGS, "light": METRES})
+
+    def actions(self):
+        known = st.sampled_from([{"steer": m.steer_rad, "drive": m.gear} for m in MANOEUVRES.values()])
+        return known | st.fixed_dictionaries({"steer": st.floats(-0.6, 0.6), "drive": st.floats(-1.0, 1.0)})
+
+    def after(self, before, action):
+        done = [m for m in MANOEUVRES.values() if (m.steer_rad, m.gear) == (action["steer"], action["drive"])]
+        return driven(before, done[0].turn_deg, done[0].gear) if done else None
+
+    def obeying(self, policy, command):
+        manoeuvre = MANOEUVRES[policy.commands[command]]
+        return {"steer": manoeuvre.steer_rad, "drive": manoeuvre.gear}
+
+
+def driven(before: Numbers, turn_deg: float, gear: float) -> Numbers:
+    """The scene after a curve of 0.36 m, ahead or back."""
+    middle_rad = before["heading_rad"] + math.radians(turn_deg) / 2
+    x_m, y_m = before["x_m"] + 0.36 * gear * math.cos(middle_rad), before["y_m"] + 0.36 * gear * math.sin(middle_rad)
+    heading_rad = math.remainder(before["heading_rad"] + math.radians(turn_deg), math.tau)
+    return before | {"x_m": x_m, "y_m": y_m, "heading_rad": heading_rad}
+
+
+class TestGuide(PolicyConformance):
+    def make(self):
+        return make_policy("guide", {})
+
+    def scenes(self):
+        numbers = dict.fromkeys(self.make().needs, st.floats(-1.0, 1.5))
+        return st.fixed_dictionaries(numbers | {"light": METRES})
+
+    def actions(self):
+        turns = dict.fromkeys(("turn_base", "turn_shoulder", "turn_elbow"), st.floats(-0.4, 0.4))
+        return st.fixed_dictionaries(turns)
+
+    def after(self, before, action):
+        del before, action  # how far the hand goes depends on how the arm is bent
+
+    def obeying(self, policy, command):
+        del policy, command
+
+
+# ---- what the guide of an arm wants ----
+
+
+def hand_and_point(hand: tuple[float, float, float], point: tuple[float, float, float]) -> Numbers:
+    """A scene of an arm, of places that its eye sees: azimuth and elevation, rad, and range, m."""
+    names = make_policy("guide", {}).needs
+    placed = []
+    for azimuth, elevation, range_m in (hand, point):
+        level_m = range_m * math.cos(elevation)
+        placed += [
+            level_m * math.cos(azimuth), level_m * math.sin(azimuth), 0.36 + range_m * math.sin(elevation)
+        ]  # fmt: skip
+    return dict(zip(names, placed, strict=True))
+
+
+HAND = (0.0, 0.1, 0.7)
+
+
+@pytest.mark.parametrize(
+    ("point", "command"),
+    [
+        ((0.5, 0.1, 0.7), "left"), ((-0.5, 0.1, 0.7), "right"), ((0.1, 0.5, 0.7), "up"), ((0.1, -0.5, 0.7), "down"),
+        ((0.01, 0.1, 0.8), "out"), ((0.0, 0.08, 0.5), "in"),
+    ],
+)  # fmt: skip
+def test_the_guide_wants_the_hand_to_go_where_it_is_farthest_off(point, command):
+    guide = make_policy("guide", {})
+    assert guide.commands[guide.want(hand_and_point(HAND, point))] == command
+
+
+def test_the_guide_judges_by_the_distance_that_was_won():
+    guide, point = make_policy("guide", {}), (0.24, 0.1, 0.7)
+    before, left, right = hand_and_point(HAND, point), 0, 1
+
+    def judged(azimuth: float, wanted: int) -> float:
+        return guide.judge(before, hand_and_point((azimuth, *HAND[1:]), point), NOTHING, wanted)
+
+    assert judged(0.24, left) == pytest.approx(1.0)
+    assert judged(0.0, left) == pytest.approx(0.0)
+    assert judged(0.12, left) == pytest.approx(0.5, abs=0.01) == judged(0.36, left), "too far is as bad as too short"
+    assert judged(-0.3, left) == -1.0
+    assert judged(-0.25, right) == pytest.approx(1.0), "a command that leads away is meant, too"
+    assert judged(0.25, right) < -0.9
+
+
+def test_the_guide_measures_by_what_one_action_can_win():
+    guide, far = make_policy("guide", {}), (1.4, 0.1, 0.7)
+    after = hand_and_point((0.25, *HAND[1:]), far)
+    assert guide.judge(hand_and_point(HAND, far), after, NOTHING, 0) == pytest.approx(1.0)
+
+
+# ---- what the driver of a car wants ----
+
+
+@pytest.mark.parametrize(
+    ("ahead_m", "aside_m", "command"),
+    [
+        (1.5, 0.0, "ahead"), (1.5, 0.5, "left 17"), (1.5, -0.5, "right 17"), (1.0, 1.0, "left 45"),
+        (0.0, 0.5, "back, left 41"), (0.0, -0.5, "back, right 41"), (-1.5, -0.1, "back, right 41"),
+        (0.1, 1.5, "left 45"), (-1.5, 0.1, "back, left 41"),
+    ],
+)  # fmt: skip
+def test_the_driver_backs_off_from_a_ball_that_no_curve_leads_to(ahead_m, aside_m, command):
+    drive = make_policy("drive", {})
+    scene = {"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0, "ball_x_m": ahead_m, "ball_y_m": aside_m}
+    assert drive.commands[drive.want(scene)] == command
 
 
 # ---- what the Pioneer's teacher wants ----

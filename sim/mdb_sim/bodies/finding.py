@@ -19,6 +19,8 @@ BODIES = {
     "pybullet": "mdb_sim.bodies.pioneer.physics:PioneerRobot",
     "gymnasium": "mdb_sim.bodies.environment:GymnasiumBody",
     "ros2": "mdb_sim.bodies.ros2.robot:Ros2Robot",
+    "iiwa": "mdb_sim.bodies.bullet.arm:IiwaArm",
+    "racecar": "mdb_sim.bodies.bullet.car:RaceCar",
 }
 """The bodies that have a short name."""
 EXTRAS = {"pybullet": "pybullet", "gymnasium": "gymnasium", "rosbags": "ros2", "xxhash": "ros2"}

@@ -110,6 +110,8 @@ MACHINES: tuple[Machine, ...] = (
     Machine("mountaincar-continuous", "MountainCarContinuous-v0", reward, "return", 90.0, 50, 1000, 1000, 3000),
     Machine("acrobot", "Acrobot-v1", reward, "return", -110.0, 50, 1000, 500, 2000),
     Machine("pendulum", "Pendulum-v1, a torque in a range", reward, "return", -250.0, 50, 2000, 600, 2000),
+    Machine("arm", "KUKA iiwa reaches a point", success, "points reached within 3 cm", 0.9, 200, 1300, 150, 400),
+    Machine("car", "racing car drives to a ball", None, "captures, share of the ideal", 0.8, 200, 300, 100, 400),
 )
 BY_FILE = {machine.file: machine for machine in MACHINES}
 

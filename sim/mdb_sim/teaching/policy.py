@@ -25,6 +25,8 @@ POLICIES = {
     "whip": "mdb_sim.teaching.policies.control:Whip",
     "nearer": "mdb_sim.teaching.policies.places:Nearer",
     "upright": "mdb_sim.teaching.policies.control:Upright",
+    "drive": "mdb_sim.teaching.policies.bullet:Drive",
+    "guide": "mdb_sim.teaching.policies.bullet:Guide",
 }
 """The policies that have a short name; any other is named "package.module:Factory"."""
 MEMBERS = ("commands", "order", "needs", "want", "judge", "expected")
