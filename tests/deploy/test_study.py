@@ -99,7 +99,10 @@ def test_variants_of_the_ablation_take_one_ingredient_away_each() -> None:
         "FIFO only": (*fifo, "context.enabled=false"),
         "punishments not kept": ("model.induced.memory.outcome=0",),
         "no committees": tuple(alone),
-        "no support": (f"mode=[{{{taught}, curiosity=0.5, margin=0.0}}, {{{induced}, curiosity=0.0, margin=0.2}}]",),
+        "no support": (
+            f"mode=[{{{taught}, curiosity=0.5, margin=0.0, babbling=0.0}}, "
+            f"{{{induced}, curiosity=0.0, margin=0.2, babbling=0.0}}]",
+        ),
         "no aspiration": ("mode.taught.exploration=0", "mode.taught.curiosity=0"),
         "scalar note": ("channels.note={low=0, high=6}",),
         "smaller memories": tuple(smaller),
@@ -178,7 +181,11 @@ def test_all_variants_of_all_studies_can_be_run(study: str) -> None:
     experiment = Experiment.read(PAPER, base)
     variants = tables.VARIANTS[study](experiment)
     assert len({variant.name for variant in variants}) == len(variants) >= 1
-    contents = [Experiment.read(PAPER, (*base, *variant.overrides)).content for variant in variants]
+    files = [PAPER if variant.file is None else experiment_path(variant.file) for variant in variants]
+    contents = [
+        Experiment.read(file, (*base, *variant.overrides)).content
+        for file, variant in zip(files, variants, strict=True)
+    ]
     players = [variant.player for variant in variants]
     assert all(content not in contents[:i] or players[i] != "brain" for i, content in enumerate(contents))
 
