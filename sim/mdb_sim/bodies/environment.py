@@ -7,6 +7,7 @@ the scene, for measurements; neither brain nor teacher is given it.
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -158,6 +159,7 @@ class GymnasiumBody(Resting):
         if self._dark:  # asked once: to ask some again is slow, and no better
             raise BodyError(self._dark)
         try:
+            os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it greets on standard output
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # what cannot be drawn is said below
                 image = np.asarray(self.env.render(), dtype=np.uint8)[..., :3]

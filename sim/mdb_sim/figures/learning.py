@@ -112,7 +112,8 @@ def _fill_curves(learning: Learning, figure: SubFigure) -> None:
     seeds = f"seed {phases[0].seed}" if count == 1 else f"mean of {count} runs with its 95 % band"
     figure.suptitle(f"{learning.title}: {seeds}", x=0.01, ha="left", fontsize=12)
     above.legend(handles=_legend(above, phases), loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
-    below.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
+    if below.get_legend_handles_labels()[0]:
+        below.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
 
 
 def _legend(axes: Axes, phases: Sequence[PhaseRow]) -> list[object]:
