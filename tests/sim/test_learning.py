@@ -1,4 +1,4 @@
-"""A short real run: its episodes are seen again from the log alone, and its figure tells phases, models and episodes."""
+"""A short real run: its episodes are seen again from the log alone; its figure tells phases, models and episodes."""
 
 import sys
 from dataclasses import replace
@@ -106,7 +106,15 @@ def test_a_run_s_figure_names_teachers_models_and_episodes(run: Path, tmp_path: 
     paths = draw_runs([run], tmp_path)
     assert [path.name for path in paths] == ["learning.png", "learning.svg"]
     text = text_of(paths[1])
-    for word in ("taught by “one”", "alone", "communication", "direct", "Typical (median) episode", "Worst", "return"):
+    for word in (
+        "taught by “one”",
+        "alone",
+        "communication",
+        "direct",
+        "Typical (median) episode",
+        "Worst",
+        "return",
+    ):
         assert word in text
     assert [path.name for path in draw_runs([run, run], tmp_path)] == ["learning-seeds.png", "learning-seeds.svg"]
 
