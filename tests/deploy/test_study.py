@@ -338,9 +338,8 @@ def test_only_some_variants_are_run_and_the_first_always(tmp_path: Path) -> None
 
 
 def test_machines_are_asked_for_by_file_or_name_and_no_other_is_run_beside(tmp_path: Path) -> None:
-    tasks = sweep.tasks_of(
-        STUDIES["machines"], wanted(tmp_path, only=("cartpole", "pendulum-v1-a-torque-in-a-range"))
-    )
+    only = ("cartpole", "pendulum-v1-a-torque-in-a-range")
+    tasks = sweep.tasks_of(STUDIES["machines"], replace(wanted(tmp_path, only=only), overrides=()))
     assert {task.label.variant for task in tasks} == {"CartPole-v1", "Pendulum-v1, a torque in a range"}
 
 

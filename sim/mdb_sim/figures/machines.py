@@ -44,4 +44,4 @@ def _fill(runs: Runs, figure: Figure, lines: int, columns: int) -> None:
         axes.set_ylabel(machine.measure, fontsize=8)
         axes.set_xlabel("iterations taught", fontsize=8, color=MUTED)
         axes.set_xlim(0, None)
-    panels[0, 0].legend(frameon=False, fontsize=8, loc="lower right")
+    panels[0, 0].legend(frameon=False, fontsize=8, loc="best")

@@ -268,7 +268,8 @@ def machines(section: Section) -> str:
         *(
             section.figure(
                 draw_learning(learning_of(what, seeds), section.named(OF[what].file)),
-                f"{what}: what each episode brought, the error of every model, and episodes alone as they looked.",
+                f"{what}: what each episode brought, where it ended; the error of every model; episodes alone "
+                "as they looked.",
             )
             for what, seeds in section.own.items()
         ),
