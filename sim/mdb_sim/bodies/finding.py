@@ -50,6 +50,14 @@ def make_body(name: str, options: Mapping[str, Any], folder: Path | None = None,
     return made
 
 
+def is_simulated(name: str, folder: Path | None = None) -> bool:
+    """Whether another body of this name may be made and moved: its class says `simulated = True`, so nothing real is.
+
+    BodyError when there is none of that name, or when a package it needs is missing.
+    """
+    return bool(getattr(find(name, folder, "body", BODIES), "simulated", False))
+
+
 def spec_of(name: str, options: Mapping[str, Any], folder: Path | None = None) -> Spec:
     """Return what a body has: by its factory's `spec_of`, or else by making and closing one."""
     factory = find(name, folder, "body", BODIES)

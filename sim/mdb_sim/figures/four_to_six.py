@@ -94,7 +94,11 @@ def need_matplotlib() -> None:
 
 
 def save(
-    stem: Path, size: tuple[float, float], fill: Callable[[Figure], None], kinds: Sequence[str] = ("png", "svg")
+    stem: Path,
+    size: tuple[float, float],
+    fill: Callable[[Figure], None],
+    kinds: Sequence[str] = ("png", "svg"),
+    dpi: int = DPI,
 ) -> list[Path]:
     """Make, fill and write one figure in these kinds; nothing of matplotlib's global state is touched."""
     from matplotlib import rc_context
@@ -108,7 +112,7 @@ def save(
         FigureCanvasAgg(figure)
         fill(figure)
         for path, kind in zip(paths, kinds, strict=True):
-            figure.savefig(path, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+            figure.savefig(path, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
     return paths
 
 

@@ -17,17 +17,19 @@ from mdb_sim.verdicts.quantities import Runs
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLUMNS = 3
+COLUMNS, PANEL_IN = 3, 3.7
 
 
 def draw_machines(runs: Runs, stem: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
     """Draw a panel for each machine, each seed thin, the median thick, the aim dashed; return the files."""
-    lines = math.ceil(len(runs) / COLUMNS)
-    return save(stem, (11.0, 2.7 * lines + 0.6), lambda figure: _fill(runs, figure), kinds)
+    columns = min(COLUMNS, len(runs))
+    lines = math.ceil(len(runs) / columns)
+    size = (PANEL_IN * columns, 2.7 * lines + 0.6)
+    return save(stem, size, lambda figure: _fill(runs, figure, lines, columns), kinds)
 
 
-def _fill(runs: Runs, figure: Figure) -> None:
-    panels = figure.subplots(math.ceil(len(runs) / COLUMNS), COLUMNS, squeeze=False)
+def _fill(runs: Runs, figure: Figure, lines: int, columns: int) -> None:
+    panels = figure.subplots(lines, columns, squeeze=False)
     for axes in panels.flat[len(runs) :]:
         axes.set_visible(False)
     for axes, (what, seeds) in zip(panels.flat, runs.items(), strict=False):
@@ -42,4 +44,4 @@ def _fill(runs: Runs, figure: Figure) -> None:
         axes.set_ylabel(machine.measure, fontsize=8)
         axes.set_xlabel("iterations taught", fontsize=8, color=MUTED)
         axes.set_xlim(0, None)
-    panels[0, 0].legend(frameon=False, fontsize=8, loc="lower right")
+    panels[0, 0].legend(frameon=False, fontsize=8, loc="best")

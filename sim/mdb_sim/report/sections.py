@@ -13,6 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from mdb_sim.figures import curves, drawings
+from mdb_sim.figures.learning import Learning, draw_learning
 from mdb_sim.figures.machines import draw_machines
 from mdb_sim.studies import tables
 from mdb_sim.studies.catalogue import Study
@@ -20,7 +21,7 @@ from mdb_sim.studies.rows import PhaseRow
 from mdb_sim.verdicts.acceptance import criteria_table, error_without_obedience, failures, seeds_table
 from mdb_sim.verdicts.aims import aims_table
 from mdb_sim.verdicts.comings import comings_of, comings_table
-from mdb_sim.verdicts.machines import machines_table
+from mdb_sim.verdicts.machines import OF, machines_table
 from mdb_sim.verdicts.quantities import (
     SHARE,
     Runs,
@@ -255,7 +256,7 @@ def readapt(section: Section) -> str:
 
 
 def machines(section: Section) -> str:
-    """What each machine reached, and its learning curve."""
+    """What each machine reached, its learning curve, and how it learnt."""
     return _paragraphs(
         "Each machine is taught by one scripted teacher and tried alone in turn. Competence is what it does alone, "
         "with learning on; the aim is for the median of the seeds.",
@@ -264,7 +265,22 @@ def machines(section: Section) -> str:
             draw_machines(section.own, section.stem),
             "Machines: competence alone over the iterations taught. Seeds thin, median thick; dashed: the aim.",
         ),
+        *(
+            section.figure(
+                draw_learning(learning_of(what, seeds), section.named(OF[what].file)),
+                f"{what}: what each episode brought, where it ended; the error of every model; episodes alone "
+                "as they looked.",
+            )
+            for what, seeds in section.own.items()
+        ),
     )
+
+
+def learning_of(what: str, seeds: Mapping[int, Sequence[PhaseRow]]) -> Learning:
+    """Return what is drawn of how a machine learnt."""
+    machine = OF[what]
+    scored = machine.score is not None
+    return Learning(what, machine.measure, scored, list(seeds.values()), machine.target if scored else None)
 
 
 def _variants_figure(section: Section, caption: str) -> str:

@@ -22,7 +22,7 @@ from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_protocol.duties import SHOWN_AGAIN_S
 from mdb_services.shell.elsewhere import Elsewhere
-from mdb_sim.body import Body, BodyError, Drawable, Imaging, check
+from mdb_sim.body import Body, BodyError, check, picture_of
 from mdb_sim.robot.acting import Acting
 from mdb_sim.robot.clock import Clock
 from mdb_sim.robot.course import Course, Rules
@@ -74,6 +74,8 @@ class RobotService:
         self._late = self._done = self._halts = self._changes = self._unwritten = 0
         self._refused = False
         """Whether the disk did not take the last state."""
+        self._dark = False
+        """Whether an image could not be made."""
         self._perceptions = bus.publisher(keys.PERCEPTION)
         self._scenes = bus.publisher(keys.SCENE)
         self._pictures = bus.publisher(keys.PICTURE)
@@ -278,10 +280,14 @@ class RobotService:
 
     def _picture(self) -> messages.Picture:
         """Return what the scene looks like, as far as the body can show it."""
-        body, seen = self._body, self._perception
-        drawing = body.draw(seen.reading) if isinstance(body, Drawable) else None
-        image = body.image() if drawing is None and isinstance(body, Imaging) else None
-        return messages.Picture(iteration=seen.iteration, drawing=drawing, image=image)
+        seen = self._perception
+        try:
+            return picture_of(self._body, seen.reading, seen.iteration)
+        except BodyError as error:
+            if not self._dark:
+                log.warning("no image of the scene; those who watch see its numbers", reason=str(error))
+            self._dark = True
+            return messages.Picture(iteration=seen.iteration)
 
     def values(self) -> dict[str, float]:
         """Iteration, successes, actions that came too late, how often nobody commanded the body, changes that clients

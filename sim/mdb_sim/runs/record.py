@@ -65,6 +65,11 @@ class Episode:
         """Number of actions."""
         return len(self.places) - 1
 
+    @property
+    def stop(self) -> int:
+        """The iterations after which it had ended."""
+        return self.start + self.steps
+
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:

@@ -7,13 +7,12 @@ machine, add a line to `MACHINES`. Plain data and pure functions; the files are 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mdb_sim.runs.record import Episode, RunRecord, Span
+from mdb_sim.runs.record import Episode, RunRecord
 
 REWARD = "reward"
 """The scene's number for the environment's reward of the last action."""
@@ -22,6 +21,8 @@ CLOSE_M = 0.03
 BAND_M = (0.4, 1.0)
 """So far from its wall a robot that follows it at 0.7 m is well placed."""
 ALONE = "alone"
+RETURN = "return"
+"""The measure that is a sum of rewards; all others of an episode are from 0 to 1."""
 
 Score = Callable[[Episode], float]
 
@@ -105,11 +106,11 @@ MACHINES: tuple[Machine, ...] = (
         1000,
         settings=TWIN,
     ),
-    Machine("cartpole", "CartPole-v1", reward, "return", 475.0, 100, 500, 1100, 3500),
-    Machine("mountaincar", "MountainCar-v0", reward, "return", -130.0, 50, 1000, 500, 2000),
-    Machine("mountaincar-continuous", "MountainCarContinuous-v0", reward, "return", 90.0, 50, 1000, 1000, 3000),
-    Machine("acrobot", "Acrobot-v1", reward, "return", -110.0, 50, 1000, 500, 2000),
-    Machine("pendulum", "Pendulum-v1, a torque in a range", reward, "return", -250.0, 50, 2000, 600, 2000),
+    Machine("cartpole", "CartPole-v1", reward, RETURN, 475.0, 100, 500, 1100, 3500),
+    Machine("mountaincar", "MountainCar-v0", reward, RETURN, -130.0, 50, 1000, 500, 2000),
+    Machine("mountaincar-continuous", "MountainCarContinuous-v0", reward, RETURN, 90.0, 50, 1000, 1000, 3000),
+    Machine("acrobot", "Acrobot-v1", reward, RETURN, -110.0, 50, 1000, 500, 2000),
+    Machine("pendulum", "Pendulum-v1, a torque in a range", reward, RETURN, -250.0, 50, 2000, 600, 2000),
     Machine("arm", "KUKA iiwa reaches a point", success, "points reached within 3 cm", 0.9, 200, 1300, 150, 400),
     Machine("car", "racing car drives to a ball", None, "captures, share of the ideal", 0.8, 200, 300, 100, 400),
 )
@@ -129,10 +130,24 @@ def settings_of(machine: Machine) -> tuple[str, ...]:
     return f"experiment.iterations={at}", f"optimizer.random_iterations={machine.forced}", phases, *machine.settings
 
 
-def scores(record: RunRecord, span: Span) -> NDArray[np.float32]:
-    """Return the scores (episodes,) of the episodes within a phase; of a machine that is in no table none."""
+def measured(record: RunRecord) -> tuple[Score | None, str]:
+    """Return the score of a run's episodes and its name: the table's, or else the return where there is a reward.
+
+    None: an episode says nothing but whether it was a success, and these are counted.
+    """
     machine = BY_FILE.get(record.experiment.brain.experiment.name)
-    if machine is None or machine.score is None:
-        return np.zeros(0, np.float32)
-    inside = (e for e in record.episodes() if span.start <= e.start and e.start + e.steps <= span.stop)
-    return np.array([machine.score(episode) for episode in inside], dtype=np.float32)
+    if machine is not None:
+        return machine.score, machine.measure
+    rewarded = REWARD in next(iter(record.scenes.values())).now if record.scenes else False
+    return (reward, RETURN) if rewarded else (None, "successes")
+
+
+def to_be_shown(episodes: Sequence[Episode], score: Score | None) -> list[tuple[str, Episode, float | None]]:
+    """Return the episode of the median score, and the worst if it is worse; of equals the longer is the worse."""
+    of = score or success
+    ranked = sorted(episodes, key=lambda episode: (of(episode), -episode.steps))
+    if not ranked:
+        return []
+    middle, worst = ranked[len(ranked) // 2], ranked[0]
+    found = [("median", middle)] + ([("worst", worst)] if of(worst) < of(middle) else [])
+    return [(what, episode, None if score is None else score(episode)) for what, episode in found]

@@ -8,15 +8,17 @@ which code it is of, so that a sweep can be gone on with.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from mdb_protocol.errors import MdbError
 from mdb_services.shell.whole_file import write_whole
+from mdb_sim.runs.films import Film
 from mdb_sim.studies.rows import CURVES, PhaseRow
 
 if TYPE_CHECKING:
@@ -86,7 +88,7 @@ def encode(label: Label, rows: Sequence[PhaseRow]) -> bytes:
     columns: dict[str, list[Any]] = {
         "study": [label.study] * len(rows),
         "variant": [label.variant] * len(rows),
-        **{name: [getattr(row, name) for row in rows] for name in names},
+        **{name: [_plain(getattr(row, name)) for row in rows] for name in names},
     }
     table = pa.table(columns, schema=_schema(label))
     sink = pa.BufferOutputStream()
@@ -137,6 +139,15 @@ def read(folder: Path, study: str | None = None) -> list[Result]:
     return sorted(results, key=lambda r: (r.label.study, r.label.order, r.label.variant, r.label.body, r.label.seed))
 
 
+def _plain(value: Any) -> Any:
+    """Return what Parquet takes of a row's value: pairs of a mapping, films as bytes, all else as it is."""
+    if isinstance(value, Mapping):
+        return list(value.items())
+    if isinstance(value, tuple):
+        return [msgspec.msgpack.encode(part) if isinstance(part, Film) else part for part in value]
+    return value
+
+
 def _schema(label: Label) -> pa.Schema:
     import pyarrow as pa
 
@@ -149,6 +160,8 @@ def _schema(label: Label) -> pa.Schema:
         "Curve": pa.list_(pa.float32()),
         "Counts": pa.list_(pa.int32()),
         "tuple[Curve, ...]": pa.list_(pa.list_(pa.float32())),
+        "Mapping[str, Curve]": pa.map_(pa.string(), pa.list_(pa.float32())),
+        "tuple[Film, ...]": pa.list_(pa.binary()),
     }
     columns = [("study", pa.string()), ("variant", pa.string())]
     columns += [(field.name, kinds[str(field.type)]) for field in fields(PhaseRow)]
@@ -178,4 +191,6 @@ def _rows(content: Iterable[dict[str, Any]], types: dict[str, Any]) -> Iterator[
         for name, kind in types.items():
             row[name] = np.array(row[name], dtype=kind)
         row["paths"] = tuple(np.array(path, dtype=np.float32) for path in row["paths"])
+        row["errors"] = {name: np.array(errors, np.float32) for name, errors in row.get("errors", ())}
+        row["films"] = tuple(msgspec.msgpack.decode(film, type=Film) for film in row.get("films", ()))
         yield PhaseRow(**row)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_sim.runs import measures
+from mdb_sim.runs.films import Film, films_of
 from mdb_sim.runs.record import Doubles, Episode, RunRecord, Span
 from mdb_sim.runs.trajectories import typical
 from mdb_sim.studies import machines
@@ -76,7 +77,15 @@ class PhaseRow:
     paths: tuple[Curve, ...]
     """Typical episodes: object x, y, then x, y and heading of each place, in m and rad; empty without these."""
     scores: Curve = field(default_factory=lambda: np.zeros(0, np.float32))
-    """Of each whole episode of the phase, for the machines of `machines.MACHINES`."""
+    """Of each episode that began and ended in the phase, where episodes have a score; see `machines.measured`."""
+    ended_after: Counts = field(default_factory=lambda: np.zeros(0, np.int32))
+    """The iterations after which an episode ended in the phase, wherever it began, ..."""
+    ended_scores: Curve = field(default_factory=lambda: np.zeros(0, np.float32))
+    """... and its score."""
+    errors: Mapping[str, Curve] = field(default_factory=dict)
+    """Of every model, by its name: the error on each pair before it was learnt, nan where there was none."""
+    films: tuple[Film, ...] = ()
+    """Typical episodes of the last phase in which nobody taught, or else of the last, in pictures."""
 
     @property
     def share(self) -> float:
@@ -97,11 +106,21 @@ def rows_of(record: RunRecord) -> list[PhaseRow]:
         "pairs": measures.pair_error(record),
     }
     episodes = list(record.episodes())
-    return [_row(record, place, span, curves, episodes) for place, span in enumerate(record.spans)]
+    begun = [place for place, span in enumerate(record.spans) if span.start < record.iterations]
+    filmed = max(begun, key=lambda place: (record.spans[place].teacher is None, place), default=0)
+    return [
+        _row(record, place, span, curves, episodes, filmed=place == filmed) for place, span in enumerate(record.spans)
+    ]
 
 
 def _row(
-    record: RunRecord, place: int, span: Span, curves: Mapping[str, Doubles], episodes: list[Episode]
+    record: RunRecord,
+    place: int,
+    span: Span,
+    curves: Mapping[str, Doubles],
+    episodes: list[Episode],
+    *,
+    filmed: bool,
 ) -> PhaseRow:
     phase = slice(span.start, min(span.stop, record.iterations))
     window = measures.success_window(record, span)
@@ -126,13 +145,29 @@ def _row(
         captured=np.diff(record.successes[phase.start : phase.stop + 1]).astype(np.int8),
         capture_steps=np.array([episode.steps for episode in done], dtype=np.int32),
         paths=tuple(_path(episode) for _, episode in typical(done)),
-        scores=machines.scores(record, span),
+        errors={name: errors[phase].astype(np.float32) for name, errors in record.prequential.items()},
         prequential_curve=curves["prequential"][phase].astype(np.float32),
         memory_error_curve=curves["memory"][phase].astype(np.float32),
         pair_error_curve=curves["pairs"][phase].astype(np.float32),
         **_obedience(record, span, phase),
         **_learning(record, span, curves),
+        **_scored(record, span, episodes, filmed=filmed),
     )
+
+
+def _scored(record: RunRecord, span: Span, episodes: list[Episode], *, filmed: bool) -> dict[str, Any]:
+    score, _ = machines.measured(record)
+    ended = [episode for episode in episodes if span.start < episode.stop <= span.stop]
+    whole = [episode for episode in ended if span.start <= episode.start]
+    films = films_of(record, machines.to_be_shown(whole or ended, score)) if filmed else ()
+    if score is None:
+        return {"films": films}
+    return {
+        "scores": np.array([score(episode) for episode in whole], dtype=np.float32),
+        "ended_after": np.array([episode.stop for episode in ended], dtype=np.int32),
+        "ended_scores": np.array([score(episode) for episode in ended], dtype=np.float32),
+        "films": films,
+    }
 
 
 def _obedience(record: RunRecord, span: Span, phase: slice) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mdb_sim.studies.machines import MACHINES, Machine
+from mdb_sim.studies.machines import MACHINES, RETURN, Machine
 from mdb_sim.studies.rows import PhaseRow
 from mdb_sim.verdicts.quantities import Runs
 from mdb_sim.verdicts.statistics import Shape, estimate, interval, markdown, number, percent, text, worst
@@ -58,7 +58,7 @@ def _competence(machine: Machine, row: PhaseRow) -> float:
 
 def shape_of(machine: Machine) -> Shape:
     """Return how a competence is written."""
-    return number if machine.measure == "return" else percent
+    return number if machine.measure == RETURN else percent
 
 
 def machines_table(runs: Runs) -> str:

@@ -134,7 +134,7 @@ class IiwaArm(BulletMachine):
             "distance_m": math.dist(hand, target),
         }
 
-    def image(self) -> np.ndarray | None:
+    def image(self) -> np.ndarray:
         """See `Imaging.image`: the arm from aside, and a red ball where the point is."""
         at = self.at
         target = tuple(at[name] for name in self.places[3:])

@@ -33,6 +33,7 @@ class _State(msgspec.Struct, frozen=True):
 class BulletMachine(Resting, abc.ABC):
     """A `mdb_sim.body.Body` but for what the machine is: one fills in its spec, where it begins, and how it moves."""
 
+    simulated = True
     spec: Spec
     places: tuple[str, ...]
     """The names of the numbers that tell where machine and thing are."""

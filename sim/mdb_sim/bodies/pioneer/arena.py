@@ -136,6 +136,8 @@ class _State(msgspec.Struct, frozen=True):
 class ArenaRobot(Resting, abc.ABC):
     """A `mdb_sim.body.Body` but for its motion: a body fills in `_place`, `_move`, `_pose` and `cast`."""
 
+    simulated = True
+
     def __init__(self, **options: Any) -> None:
         """Take the options of `[robot.options]`; BodyError when they are wrong."""
         self.config = config_of(options)
