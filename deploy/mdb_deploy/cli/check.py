@@ -16,7 +16,9 @@ SIDE_BY_SIDE = ("-n", "2", "--dist", "worksteal")
 
 def add(commands: Commands) -> None:
     """Add `test` and `compare-bodies`."""
-    test = commands.add_parser("test", help="run the tests, two at a time; words, if any, go to pytest as they are", add_help=False)
+    test = commands.add_parser(
+        "test", help="run the tests, two at a time; words, if any, go to pytest as they are", add_help=False
+    )
     test.set_defaults(command=_test, takes_words=True)
     compare = commands.add_parser("compare-bodies", help="PyBullet and its kinematic twin side by side")
     compare.set_defaults(command=_compare)
