@@ -36,6 +36,8 @@ OBSERVATION = "observation"
 """The sensor when an observation is one space, and its numbers have no names: they are one vector."""
 MOTOR = "motor"
 """The actuator when an action is one space."""
+RATE = "_rate"
+"""After a number's name: its change in the last step."""
 MOST_SHOWN = 250
 """Numbers of an observation that are in the scene."""
 REWARD = "reward"
@@ -59,6 +61,7 @@ class GymnasiumBody(Resting):
 
     env: its id, with `make` passed to `gymnasium.make`. names: of the observation's numbers, each a sensor then;
     without, each of its spaces is one, by its key; with "seen_" before it where the name means something else.
+    rates: of these names the change in the last step of the environment is sensed, too, as NAME_rate; 0 at first.
     actuators: names, one for each number of an action. terminated, truncated: the events' words. repeat: an action is
     held for so many steps of the environment. limit: an actuator whose range has no end goes to ±limit. grid: an
     image is seen as so many rows and columns of grey.
@@ -71,6 +74,7 @@ class GymnasiumBody(Resting):
         env: str,
         *,
         names: Sequence[str] = (),
+        rates: Sequence[str] = (),
         actuators: Sequence[str] = (),
         terminated: str = "terminated",
         truncated: str = "truncated",
@@ -96,6 +100,8 @@ class GymnasiumBody(Resting):
             self._names, self._spec = _spec(
                 self.seen, self.done, tuple(names), tuple(actuators), events=self._events, limit=limit
             )
+            self._rates = _rates(tuple(names), rates)
+            self._spec = msgspec.structs.replace(self._spec, sensors=(*self._spec.sensors, *_rate_sensors(self._spec, self._rates)))
         except BodyError as error:
             self.env.close()
             raise BodyError(f"robot.options.env = {env!r}: {error}") from error
@@ -104,6 +110,8 @@ class GymnasiumBody(Resting):
         self._episode = 0
         self._actions: list[list[float]] = []
         self._observation: Any = None
+        self._before: list[float] = []
+        """The observation's numbers a step before, where rates are sensed."""
         self._reward = 0.0
         self._over = self._closed = False
         self._dark = ""
@@ -121,6 +129,7 @@ class GymnasiumBody(Resting):
             raise BodyError(f"seed={seed!r}, episode={episode!r}; expected ints, the seed from 0 to 2**64 - 1")
         self._seed, self._episode = seed, episode
         self._observation, _ = self.env.reset(seed=streams.key(seed, f"episode/{episode}") % 2**31)
+        self._before = self._plain() if self._rates else []
         self._actions, self._reward, self._over = [], 0.0, False
         return self._reading()
 
@@ -139,6 +148,7 @@ class GymnasiumBody(Resting):
         given = value_of(self.env.action_space, iter(action))
         self._reward, event = 0.0, NOTHING
         for _ in range(self._repeat):
+            self._before = self._plain() if self._rates else []
             self._observation, reward, terminated, truncated, _ = self.env.step(given)
             self._reward += float(reward)
             if terminated or truncated:
@@ -205,7 +215,9 @@ class GymnasiumBody(Resting):
     def _reading(self) -> Reading:
         plain = self._plain()
         if self._named:
-            return dict(zip(self._names, plain, strict=True))
+            found = dict(zip(self._names, plain, strict=True))
+            before = dict(zip(self._names, self._before, strict=True)) if self._rates else {}
+            return {**found, **{name + RATE: found[name] - before[name] for name in self._rates}}
         reading: Reading = {}
         for leaf in self.seen:
             mine, plain = plain[: leaf.numbers], plain[leaf.numbers :]
@@ -277,6 +289,25 @@ def _spec(
         scene=(*shown[:MOST_SHOWN], REWARD),
     )
     return shown, spec
+
+
+def _rates(names: tuple[str, ...], rates: Sequence[str]) -> tuple[str, ...]:
+    """Return the numbers whose rates are sensed, in order; BodyError when one is unknown or a name is twice there."""
+    unknown = sorted(set(rates) - set(names))
+    taken = sorted({name + RATE for name in rates} & set(names))
+    if unknown or taken or len(set(rates)) < len(rates):
+        raise BodyError(
+            f"robot.options.rates is {list(rates)}; expected some of robot.options.names ({', '.join(names) or 'none'}), "
+            f"each once, and none of which NAME{RATE} is there, too"
+        )
+    return tuple(rates)
+
+
+def _rate_sensors(spec: Spec, rates: tuple[str, ...]) -> list[Sensor]:
+    """Return the sensors of the rates: in a step a number can go from one end to the other."""
+    of = {sensor.name: sensor for sensor in spec.sensors}
+    widths = {name: min(of[name].high - of[name].low, VALUE_BOUND) for name in rates}
+    return [Sensor(name=name + RATE, low=-width, high=width) for name, width in widths.items()]
 
 
 def _sensors(leaf: Leaf, *, each: bool = False) -> list[Sensor]:
