@@ -84,6 +84,15 @@ class TestPendulum(BodyConformance):
         return make_body("gymnasium", self.options)
 
 
+class TestRates(BodyConformance):
+    actions = 120
+    options = {"env": "Pendulum-v1", "names": ["cos", "sin", "speed"], "rates": ["sin", "speed"], "repeat": 2}  # noqa: RUF012
+
+    def make(self):
+        pytest.importorskip("gymnasium")
+        return make_body("gymnasium", self.options)
+
+
 class TestFrozenLake(BodyConformance):
     options = {"env": "FrozenLake-v1"}  # noqa: RUF012
     random = False

@@ -146,6 +146,8 @@ def test_numbers_and_values_of_a_space_go_both_ways(seen: gymnasium.Space) -> No
     [
         ({"grid": 40}, "grid 40; expected repeat of 1 or more, limit above 0, grid of 1 to 32"),
         ({"names": ["x"]}, "names has 1 names; an observation has 4 numbers"),
+        ({"rates": ["x"]}, r"rates is \['x'\]; expected some of robot.options.names \(none\)"),
+        ({"names": ["x", "x_rate", "angle", "swing"], "rates": ["x"]}, "none of which NAME_rate is there, too"),
         ({"actuators": ["left", "right"]}, r"an action has 1 numbers \(motor\), and each is an actuator"),
     ],
 )
@@ -154,3 +156,19 @@ def test_options_that_do_not_fit_an_environment(options: dict[str, object], says
 
     with pytest.raises(BodyError, match=says):
         GymnasiumBody("CartPole-v1", **options)
+
+
+def test_a_rate_is_what_a_number_changed_by_in_the_last_step() -> None:
+    from mdb_sim.bodies.environment import GymnasiumBody
+
+    names = ["x", "x_speed", "angle", "angle_speed"]
+    body = GymnasiumBody("CartPole-v1", names=names, rates=["angle", "x"], repeat=3)
+    single = GymnasiumBody("CartPole-v1", names=names)
+    first = body.reset(1, 0)
+    assert (first["angle_rate"], first["x_rate"]) == (0.0, 0.0)
+    single.reset(1, 0)
+    _, before, last = (single.act({"motor": 1.0}).reading for _ in range(3))
+    held = body.act({"motor": 1.0}).reading
+    assert held == last | {f"{name}_rate": last[name] - before[name] for name in ("angle", "x")}
+    body.close()
+    single.close()

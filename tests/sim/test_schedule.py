@@ -61,6 +61,15 @@ def test_for_two_commands_there_are_two_languages_and_no_third() -> None:
         schedule(teachers(3), 1, (0.0, 90.0))
 
 
+def test_of_one_command_all_teachers_speak_the_only_language() -> None:
+    phases = [{"start": i, "name": "p", "teacher": f"t{i}", "language": "random"} for i in range(2)]
+    both = schedule_of(msgspec.convert({"policy": "nearer", "phase": phases}, TeacherSection), 1).phases
+    assert [phase.language.notes for phase in both if phase.language is not None] == [(0,), (0,)]
+    section = msgspec.convert({"policy": "nearer", "phase": [phases[0] | {"wrong_notes": 0.1}]}, TeacherSection)
+    with pytest.raises(TeacherError, match="phase 'p': wrong_notes is 0.1, but policy 'nearer' has one command"):
+        schedule_of(section, 1)
+
+
 @pytest.mark.parametrize(
     ("phases", "said"),
     [

@@ -101,7 +101,9 @@ class GymnasiumBody(Resting):
                 self.seen, self.done, tuple(names), tuple(actuators), events=self._events, limit=limit
             )
             self._rates = _rates(tuple(names), rates)
-            self._spec = msgspec.structs.replace(self._spec, sensors=(*self._spec.sensors, *_rate_sensors(self._spec, self._rates)))
+            self._spec = msgspec.structs.replace(
+                self._spec, sensors=(*self._spec.sensors, *_rate_sensors(self._spec, self._rates))
+            )
         except BodyError as error:
             self.env.close()
             raise BodyError(f"robot.options.env = {env!r}: {error}") from error

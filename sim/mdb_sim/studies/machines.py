@@ -112,6 +112,18 @@ MACHINES: tuple[Machine, ...] = (
     Machine("acrobot", "Acrobot-v1", reward, RETURN, -110.0, 50, 1000, 500, 2000),
     Machine("pendulum", "Pendulum-v1, a torque in a range", reward, RETURN, -250.0, 50, 2000, 600, 2000),
     Machine("arm", "KUKA iiwa reaches a point", success, "points reached within 3 cm", 0.9, 200, 1300, 150, 400),
+    Machine(
+        "reacher",
+        "arm of Reacher-v5 brings its tip to a place",
+        close,
+        "episodes that end within 3 cm",
+        0.8,
+        200,
+        1000,
+        102,
+        510,
+        language="ordered",
+    ),
     Machine("car", "racing car drives to a ball", None, "captures, share of the ideal", 0.8, 200, 300, 100, 400),
 )
 BY_FILE = {machine.file: machine for machine in MACHINES}

@@ -22,7 +22,7 @@ from mdb_sim.teaching.policy import OBEYED, Policy, judgement, make_policy
 from mdb_sim.teaching.sound import SoundSection
 
 DRAWN = "random"
-"""A language drawn from the run's seed, unlike those of the other teachers."""
+"""A language drawn from the run's seed, unlike those of the other teachers; of one command there is only one."""
 DRAWS = 1000
 """Languages drawn until one is unlike the others; for seven actions the second draw nearly always is."""
 
@@ -182,6 +182,11 @@ def schedule_of(section: TeacherSection, seed: int, folder: Path | None = None) 
         if phase.teacher is not None and phase.teacher not in languages:
             raise TeacherError(f"phase {phase.name!r}: teacher {phase.teacher!r} needs a language")
         language = languages[phase.teacher] if phase.teacher else None
+        if phase.wrong_notes > 0 and len(policy.commands) == 1:
+            raise TeacherError(
+                f"phase {phase.name!r}: wrong_notes is {phase.wrong_notes}, but policy {section.policy!r} has one "
+                "command, and there is no wrong note; expected 0"
+            )
         phases.append(Phase(phase.start, phase.name, phase.teacher, language, phase))
     return Schedule(tuple(phases), policy, section.feedback == "binary", seed)
 
@@ -192,7 +197,7 @@ def _language(name: str, teacher: str, seed: int, policy: Policy, taken: list[tu
     for counter in range(DRAWS):
         key = streams.key(seed, f"language/{teacher}/{counter}")
         language = make_language(f"random:{key}", policy.order)
-        if language.notes not in taken:
+        if language.notes not in taken or len(policy.commands) == 1:
             return language
     raise TeacherError(
         f"no language is left for teacher {teacher!r}: {len(taken)} others speak those that "
