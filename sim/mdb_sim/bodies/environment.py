@@ -299,8 +299,8 @@ def _rates(names: tuple[str, ...], rates: Sequence[str]) -> tuple[str, ...]:
     taken = sorted({name + RATE for name in rates} & set(names))
     if unknown or taken or len(set(rates)) < len(rates):
         raise BodyError(
-            f"robot.options.rates is {list(rates)}; expected some of robot.options.names ({', '.join(names) or 'none'}), "
-            f"each once, and none of which NAME{RATE} is there, too"
+            f"robot.options.rates is {list(rates)}; expected some of robot.options.names "
+            f"({', '.join(names) or 'none'}), each once, and none of which NAME{RATE} is there, too"
         )
     return tuple(rates)
 
