@@ -167,6 +167,36 @@ class TestUpright(PolicyConformance):
         return {"torque": float(policy.commands[command])}
 
 
+class TestNearer(PolicyConformance):
+    def make(self):
+        return make_policy("nearer", {"ahead": 2.0})
+
+    def scenes(self):
+        numbers = dict.fromkeys(("dx", "dy"), st.floats(-0.4, 0.4))
+        return st.fixed_dictionaries(numbers | {"reward": st.just(-1.0)})
+
+    def actions(self):
+        return st.fixed_dictionaries(dict.fromkeys(("torque_1", "torque_2"), st.floats(-0.3, 0.3)))
+
+    def after(self, before, action):
+        """Return nothing: what it leads to depends on how fast the tip is."""
+        del before, action
+
+    def obeying(self, policy, command):
+        del policy, command
+
+
+@pytest.mark.parametrize(
+    ("before_m", "after_m", "judged"),
+    [(0.2, 0.19, 1.0), (0.2, 0.2, 0.4), (0.2, 0.23, -1.0), (0.005, 0.005, 1.0), (0.06, 0.0, -0.8)],
+)
+def test_who_will_soon_be_near_enough_is_praised_and_who_flies_past_is_not(before_m, after_m, judged):
+    """Two actions on at the same speed: 0.17, 0.2, 0.29, 0.005 and, past the place, 0.12 m are left."""
+    policy = make_policy("nearer", {"ahead": 2.0})
+    found = policy.judge({"dx": before_m, "dy": 0.0}, {"dx": after_m, "dy": 0.0}, NOTHING, 0)
+    assert found == pytest.approx(judged)
+
+
 class TestDrive(PolicyConformance):
     def make(self):
         return make_policy("drive", {})
