@@ -232,6 +232,12 @@ class ZenohBus(Bus):
         """Return the names of all brains of which anybody is alive at this router; with keys only one's own."""
         return keys.brains_of(self._tokens(keys.ALIVE_ANYWHERE))
 
+    def sharing(self, role: str, instance: str) -> int:
+        """Return how many sessions hold this token, which should be one; 0 when the router does not say."""
+        key = f"@/*/router/token/{ALIVE.at(self.brain, role=role, instance=instance)}"
+        replies = self._session.get(key, timeout=TOKENS_S)
+        return sum(len(json.loads(reply.ok.payload.to_bytes())["clients"]) for reply in replies if reply.ok)
+
     def alive(self) -> frozenset[str]:
         """See `Bus.alive`; the first call asks and from then on follows the changes."""
         if self._alive is None:

@@ -14,7 +14,7 @@ import pytest
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import Router, ZenohBus
 from tests.integration.brain import SHORT, Brain, mdb, until
-from tests.integration.robots import Robot
+from tests.integration.robots import NEGLECTS, Robot
 from tests.integration.test_survival import LONG, iteration_after
 
 ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"
@@ -61,6 +61,41 @@ def test_the_brain_waits_for_a_robot_and_learns_with_it(endpoint: str, tmp_path:
     finally:
         said = end(brain)
     assert "begins when a robot comes to mdb/pioneer" in said
+
+
+@pytest.mark.parametrize("attempt", range(3))
+def test_of_two_robots_that_start_at_the_same_moment_one_stays(attempt: int, endpoint: str) -> None:
+    with (
+        ZenohBus(f"pair-{attempt}", endpoint) as bus,
+        Robot(endpoint, bus.brain) as one,
+        Robot(endpoint, bus.brain) as two,
+    ):
+        both = one.process, two.process
+        until(lambda: any(process.poll() is not None for process in both))
+        until(lambda: "robot/body" in bus.alive())
+        assert [process.poll() for process in both].count(None) == 1
+        assert (bus.sharing("robot", "body"), len(bus.holders("robot", "body"))) == (1, 1)
+
+
+@pytest.mark.long
+def test_a_run_does_not_begin_with_two_robots_that_do_not_ask_and_ends_when_a_second_comes(
+    endpoint: str, tmp_path: Path
+) -> None:
+    brain = up(endpoint, tmp_path / "runs", "--no-robot", settings=LONG)
+    try:
+        with ZenohBus("pioneer", endpoint) as bus, Robot(endpoint, "pioneer", NEGLECTS):
+            reports = bus.subscriber(keys.ITERATION)
+            with Robot(endpoint, "pioneer", NEGLECTS):
+                until(lambda: bus.sharing("robot", "body") == 2)
+                until(lambda: "evolver/object" in bus.alive())
+                assert not until_not(lambda: "optimizer/action" in bus.alive(), 1.0)
+            iteration_after(bus, reports, 3)
+            with Robot(endpoint, "pioneer", NEGLECTS):
+                assert brain.wait(30.0) == 2
+    finally:
+        said = end(brain)
+    assert "one robot is awaited; stop the others: 2 robots hold alive/robot/body of brain pioneer" in said
+    assert "Stop all but one, and go on with 'mdb up --resume" in said
 
 
 @pytest.mark.long

@@ -21,9 +21,9 @@ from mdb_deploy.running.watch import JOIN_S, Watch
 from mdb_protocol import endpoints
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import MdbError
+from mdb_protocol.holding import hold
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE
-from mdb_services.shell.holding import hold
 from mdb_sim.runs.experiment import Experiment
 
 LOCK_FILE = "lock"

@@ -2,7 +2,7 @@
 
 Owns the way between the contract and `gymnasium.Env`. An episode's seed is a pure function of the run's seed and the
 episode's number. It goes on after a death by doing the episode's actions again. The environment's reward goes into
-the scene, for measurements; neither brain nor teacher is given it.
+the scene: the brain never sees it, a teacher may.
 """
 
 from __future__ import annotations
