@@ -8,6 +8,7 @@ the scene: the brain never sees it, a teacher may.
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import gymnasium
 import msgspec
 import numpy as np
+import structlog
 
 from mdb_protocol.messages import MAX_IMAGE, VALUE_BOUND
 from mdb_services.mechanism.networks import streams
@@ -32,6 +34,8 @@ from mdb_sim.bodies.spaces import (
 )
 from mdb_sim.body import NOTHING, Actuator, BodyError, Numbers, Outcome, Reading, Resting, Sensor, Spec, check
 
+log = structlog.get_logger()
+
 OBSERVATION = "observation"
 """The sensor when an observation is one space, and its numbers have no names: they are one vector."""
 MOTOR = "motor"
@@ -40,6 +44,7 @@ MOST_SHOWN = 250
 """Numbers of an observation that are in the scene."""
 REWARD = "reward"
 """The scene's number for the environment's reward of the last action."""
+COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 LONGEST = 20_000
 """Actions of an episode that are kept to be done again; a longer one begins anew after a death."""
 INSTALL = "pip install 'multilevel-darwinist-brain[gymnasium]'"
@@ -225,16 +230,23 @@ class GymnasiumBody(Resting):
 
 
 def _made(env: str, make: dict[str, Any]) -> gymnasium.Env[Any, Any]:
-    """Make an environment that can show images, or else one that cannot; BodyError tells why there is none."""
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=".*render_mode")  # one that cannot will do
-            return gymnasium.make(env, **({"render_mode": "rgb_array"} | make))
-    except Exception:  # it is asked again without; environments of others raise what they like
+    """Make an environment that can show images, or else one that cannot; BodyError tells why there is none.
+
+    What Gymnasium warns of, as of an old version, is said in the log once and in one line.
+    """
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
         try:
-            return gymnasium.make(env, **make)
-        except Exception as error:
-            raise BodyError(f"robot.options.env = {env!r} cannot be made: {_reason(error)}") from error
+            made = gymnasium.make(env, **({"render_mode": "rgb_array"} | make))
+        except Exception:  # it is asked again without; environments of others raise what they like
+            try:
+                made = gymnasium.make(env, **make)
+            except Exception as error:
+                raise BodyError(f"robot.options.env = {env!r} cannot be made: {_reason(error)}") from error
+    for said in dict.fromkeys(COLOURS.sub("", str(warning.message)) for warning in warned):
+        if "render_mode" not in said:  # one that cannot show images will do
+            log.warning(said.removeprefix("WARN: "), env=env)
+    return made
 
 
 def _reason(error: Exception) -> str:
