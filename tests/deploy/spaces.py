@@ -28,8 +28,25 @@ SEEN: dict[str, spaces.Space[Any]] = {
     "Grid": spaces.Box(0, 10, (7, 7, 3), np.uint8),
     "Many": spaces.Discrete(500),
 }
+
+
+class Mission(spaces.Space[str]):
+    """A kind of space that is not Gymnasium's own, as MiniGrid has one."""
+
+    def sample(self, *_: Any, **__: Any) -> str:
+        return "go there"
+
+    def contains(self, x: object) -> bool:
+        return isinstance(x, str)
+
+
 SEEN["Mission"] = spaces.Dict(
-    {"mission": spaces.Text(5), "pose": spaces.Tuple((NUMBERS, spaces.Sequence(NUMBERS))), "image": NUMBERS}
+    {
+        "mission": Mission(),
+        "goal": spaces.Text(5),
+        "pose": spaces.Tuple((NUMBERS, spaces.Sequence(NUMBERS))),
+        "image": NUMBERS,
+    }
 )
 SEEN["Words"] = spaces.Dict({"motor": NUMBERS, "note": spaces.Discrete(3), "reward": NUMBERS, "0": NUMBERS})
 DONE: dict[str, spaces.Space[Any]] = {

@@ -66,7 +66,7 @@ def test_every_kind_of_space_runs_at_once(name: str, tmp_path: Path) -> None:
 
 def test_parts_that_cannot_be_sensed_are_left_out_and_named(tmp_path: Path) -> None:
     experiment, _ = begin(tmp_path / "new", "gymnasium:SeeMission-v0")
-    assert "# not sensed, since its length or kind changes: mission, pose_1\n" in experiment.read_text()
+    assert "# not sensed, since its length or kind changes: goal, mission, pose_1\n" in experiment.read_text()
 
 
 @pytest.mark.parametrize("name", spaces.REFUSED)
@@ -118,6 +118,17 @@ def test_the_experiment_in_this_folder_is_the_one_that_nobody_names(
     assert experiment_path(default_experiment()) == EXPERIMENTS / "paper.toml"
     begin(tmp_path, "wheeled")
     assert experiment_path(default_experiment()) == Path("experiment.toml")
+
+
+def test_an_environment_that_fails_without_a_word_is_named_with_the_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(**_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(gymnasium, "make", lambda *_, **options: broken(**options))
+    with pytest.raises(MdbError, match=r"'Bad-v0' cannot be made: AssertionError in .*test_init.py, line \d+: raise"):
+        begin(tmp_path / "new", "gymnasium:Bad-v0")
 
 
 def test_what_gymnasium_warns_of_is_one_line(tmp_path: Path) -> None:

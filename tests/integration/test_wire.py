@@ -11,8 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from mdb_deploy.experiments import experiment_path
+from mdb_deploy.running.watch import Watch
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_sim.runs.experiment import Experiment
 from tests.integration.brain import SHORT, Brain, mdb, until
 from tests.integration.robots import NEGLECTS, Robot
 from tests.integration.test_survival import LONG, iteration_after
@@ -186,6 +189,19 @@ def test_who_was_killed_is_followed_at_once(endpoint: str, tmp_path: Path) -> No
             assert second.poll() is None
         finally:
             end(second)
+
+
+def test_of_a_run_whose_router_is_gone_is_said_how_to_go_on(tmp_path: Path) -> None:
+    router = Router(ROUTER_CONFIG, "tcp/127.0.0.1:0")
+    watch = Watch(Experiment.read(experiment_path("paper")), tmp_path, None)
+    try:
+        watch.join(router.endpoint())
+        assert watch.lost() == f"; the logs of the processes are in {tmp_path / 'logs'}"
+        router.close()
+        until(lambda: "is gone. One that 'mdb up' starts ends with it; 'mdb run router'" in watch.lost())
+        assert f"mdb up --resume {tmp_path} --connect" in watch.lost()
+    finally:
+        watch.close()
 
 
 def test_connect_says_when_no_router_answers(tmp_path: Path) -> None:

@@ -171,6 +171,6 @@ async def _follow(watch: Watch, runner: Runner, stop: asyncio.Event, progress: P
         if watch.finished():
             return 0
         if time.monotonic() - moved_s > stalled_s:
-            raise StartError(f"no iteration for {stalled_s:g} s; the logs of the processes are beside the run's log")
+            raise StartError(f"no iteration for {stalled_s:g} s{watch.lost()}")
         await asyncio.sleep(POLL_S)
     return ENDED_BY_USER

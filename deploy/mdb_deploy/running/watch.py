@@ -155,6 +155,16 @@ class Watch:
             moved = True
         return moved
 
+    def lost(self) -> str:
+        """Return what there is to say of a run in which nothing moves any more."""
+        if self._bus is not None and self._bus.connected():
+            return f"; the logs of the processes are in {self._run / 'logs'}"
+        where = self._endpoint.read_text(encoding="utf-8")
+        return (
+            f": the router at {where} is gone. One that 'mdb up' starts ends with it; 'mdb run router' starts one "
+            f"that stays. Go on with 'mdb up --resume {self._run} --connect ENDPOINT'"
+        )
+
     def finished(self) -> bool:
         """Whether the optimizer has said that the experiment is over."""
         return self._finished.take() is not None

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import traceback
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -251,12 +252,18 @@ def _made(env: str, make: dict[str, Any]) -> gymnasium.Env[Any, Any]:
 
 def _reason(error: Exception) -> str:
     """Return what went wrong in an environment, and what would help where we know it."""
-    reason = str(error) or type(error).__name__
+    reason = str(error) or f"{type(error).__name__} {_place(error)}"
     if isinstance(error, gymnasium.error.DependencyNotInstalled):
         return f"{reason}; of this project: {INSTALL}"
     if "OpenGL" in reason:
         return f"{reason}; on a machine without a display, set MUJOCO_GL=egl"
     return reason
+
+
+def _place(error: Exception) -> str:
+    """Return where an error that says nothing arose."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"in {last.filename}, line {last.lineno}: {last.line}"
 
 
 def _spec(

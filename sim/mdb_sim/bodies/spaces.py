@@ -33,8 +33,8 @@ EXPECTED = "Box, Discrete, MultiDiscrete, MultiBinary, or a Dict or Tuple of the
 WRAP = "a gymnasium.Wrapper of yours, registered as an environment, can make it one"
 
 Doubles = NDArray[np.float64]
-CHANGING = (spaces.Text, spaces.Sequence, spaces.Graph, spaces.OneOf)
-"""Spaces whose values have another length or kind each time."""
+TAKEN = (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary, spaces.Dict, spaces.Tuple)
+"""Spaces whose values have the same numbers every time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ def left_out(space: spaces.Space[Any], path: str = "") -> tuple[str, ...]:
         case spaces.Tuple():
             parts = [(_joined(path, str(place)), part) for place, part in enumerate(space)]
         case _:
-            return (path,) if path and isinstance(space, CHANGING) else ()
+            return (path,) if path and not isinstance(space, TAKEN) else ()
     return tuple(name for path, part in parts for name in left_out(part, path))
 
 
@@ -103,7 +103,7 @@ def apart(found: tuple[Leaf, ...], taken: Collection[str], prefix: str) -> tuple
 def _leaves(space: spaces.Space[Any], path: str, name: str, grid: int | None) -> Iterator[Leaf]:
     here = path or name
     match space:
-        case _ if path and grid is not None and isinstance(space, CHANGING):
+        case _ if path and grid is not None and not isinstance(space, TAKEN):
             return
         case spaces.Dict():
             for key, part in space.items():
@@ -185,7 +185,7 @@ def combinations(found: tuple[Leaf, ...]) -> list[tuple[float, ...]]:
 def numbers_of(space: spaces.Space[Any], value: Any, grid: int) -> Iterator[float]:
     """Yield an observation's numbers in the order of the leaves; of what counts things, from 0 on."""
     match space:
-        case _ if isinstance(space, CHANGING):
+        case _ if not isinstance(space, TAKEN):
             return
         case spaces.Dict():
             for key, part in space.items():
