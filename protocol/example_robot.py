@@ -54,14 +54,14 @@ def read(sample):
     return action if known and fits and counts else None
 
 
-def alone(session, claim):
-    """Tell whether nobody else is, or is about to be, this brain's robot, once we have claimed its place (duty 1)."""
+def others_of(session, claim):
+    """Return who else is this brain's robot, or is about to be, once we have claimed its place (duty 1)."""
     until_s = time.monotonic() + 3.0
     while True:
         replies = [r for key in ("alive/robot/*", "claim/robot/body/*") for r in session.liveliness().get(KEYS + key)]
         others = {str(reply.ok.key_expr) for reply in replies if reply.ok} - {claim}
         if not others or min(others) < claim or time.monotonic() > until_s:
-            return not others
+            return others
         time.sleep(0.1)
 
 
@@ -72,8 +72,8 @@ def main():
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
         claim = f"{KEYS}claim/robot/body/{uuid.uuid4().hex}"
         claimed = session.liveliness().declare_token(claim)  # a token ends with its variable
-        if not alone(session, claim):
-            sys.exit("a robot of this brain lives already, or starts at this moment")
+        if others := others_of(session, claim):
+            sys.exit(f"a robot of this brain lives already, or starts at this moment: {', '.join(others)}")
         body.begin()
         here, near = body.scene(), body.sense()
         perception = {"iteration": 0, "event": "none", "outcome": near, "reading": near, "done": None}

@@ -131,7 +131,7 @@ BROKEN = {
     ),
 }
 
-NEGLECTS = Broken("if not alone(session, claim):", "if False:", 1, "")
+NEGLECTS = Broken("if others := others_of(session, claim):", "if others := []:", 1, "")
 """One that does not ask whether there is another: from outside nobody sees that of it alone."""
 
 

@@ -33,7 +33,19 @@ from mdb_sim.bodies.spaces import (
     numbers_of,
     value_of,
 )
-from mdb_sim.body import NOTHING, Actuator, BodyError, Numbers, Outcome, Reading, Resting, Sensor, Spec, check
+from mdb_sim.body import (
+    NOTHING,
+    Actuator,
+    BodyError,
+    Numbers,
+    Outcome,
+    Reading,
+    Resting,
+    Sensor,
+    Spec,
+    check,
+    check_episode,
+)
 
 log = structlog.get_logger()
 
@@ -123,8 +135,7 @@ class GymnasiumBody(Resting):
     def reset(self, seed: int, episode: int) -> Reading:
         """See `Body.reset`."""
         self._open()
-        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64 or episode < 0:
-            raise BodyError(f"seed={seed!r}, episode={episode!r}; expected ints, the seed from 0 to 2**64 - 1")
+        check_episode(seed, episode)
         self._seed, self._episode = seed, episode
         self._observation, _ = self.env.reset(seed=streams.key(seed, f"episode/{episode}") % 2**31)
         self._actions, self._reward, self._over = [], 0.0, False
