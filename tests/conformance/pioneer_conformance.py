@@ -218,7 +218,7 @@ class PioneerConformance:
         assert robot.act(STRAIGHT_ON)
 
     def test_an_episode_before_the_first_is_refused(self, robot):
-        with pytest.raises(BodyError, match="episode=-1; expected ints, .* the episode 0 or more"):
+        with pytest.raises(BodyError, match=r"episode=-1; expected ints, .* the episode 0 or more"):
             robot.reset(1, -1)
 
     def test_places_outside_the_arena_and_negative_counts_are_refused_and_nothing_changes(self, robot):
