@@ -94,6 +94,13 @@ def test_a_kind_that_there_is_not(like: str, says: str, tmp_path: Path, capsys: 
     assert re.search(says, capsys.readouterr().err)
 
 
+def test_what_is_next_for_a_ros2_robot_is_to_start_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", str(tmp_path / "turtle"), "--like", "ros2"]) == 0
+    printed = capsys.readouterr().out
+    assert "next: start ROS 2's router (ros2 run rmw_zenoh_cpp rmw_zenohd) and the robot" in printed
+    assert "--inline" not in printed
+
+
 def test_what_is_there_already_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["init", str(tmp_path), "--like", "wheeled"]) == 0
     printed = capsys.readouterr().out

@@ -42,10 +42,19 @@ def _init(arguments: argparse.Namespace) -> int:
     sys.stdout.write(f"{experiment}: the experiment; read it first\n")
     for path in others:
         sys.stdout.write(f"{path}: {PARTS[path.stem.rpartition('_')[2]]}\n")
-    sys.stdout.write(f"next: mdb up {arguments.folder} --inline --iterations 300    (a quick try in one process)\n")
-    robots = [path for path in others if path.stem.endswith("_robot")]
-    for robot in robots:
-        sys.stdout.write(f"      mdb up {arguments.folder} --no-robot, and in another terminal: python {robot}\n")
-    if not robots:
-        sys.stdout.write(f"      mdb up {arguments.folder}                              (the whole, in processes)\n")
+    sys.stdout.write("next: " + "\n      ".join(_next(arguments.folder, others)) + "\n")
     return 0
+
+
+def _next(folder: Path, others: list[Path]) -> list[str]:
+    """Return what to do with what was written: beside the experiment there are `others`, none for ROS 2."""
+    if not others:
+        return [
+            "start ROS 2's router (ros2 run rmw_zenoh_cpp rmw_zenohd) and the robot; see [robot.options]",
+            f"mdb up {folder} --listen tcp/127.0.0.1:7448",
+        ]
+    quick = f"mdb up {folder} --inline --iterations 300    (a quick try in one process)"
+    robots = [path for path in others if path.stem.endswith("_robot")]
+    if robots:
+        return [quick, *(f"mdb up {folder} --no-robot, and in another terminal: python {robot}" for robot in robots)]
+    return [quick, f"mdb up {folder}                              (the whole, in processes)"]
