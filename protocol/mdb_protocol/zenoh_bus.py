@@ -293,6 +293,7 @@ def open_client(
     connect: str, bundle: Bundle | None, timeout_s: float, give_up: Callable[[], bool] = lambda: False
 ) -> zenoh.Session:
     """Return a session through a router; BusError when none answers within the bound, or it refuses."""
+    retry = {"period_init_ms": RETRY_MS, "period_max_ms": 4 * RETRY_MS, "period_increase_factor": 1.5}
     config = zenoh.Config.from_json5(
         json.dumps(
             {
@@ -301,11 +302,7 @@ def open_client(
                     "endpoints": [connect],
                     "timeout_ms": 1000,
                     "exit_on_failure": True,
-                    "retry": {
-                        "period_init_ms": RETRY_MS,
-                        "period_max_ms": 4 * RETRY_MS,
-                        "period_increase_factor": 1.5,
-                    },
+                    "retry": retry,
                 },
                 "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
                 "transport": {
