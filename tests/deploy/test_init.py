@@ -102,10 +102,10 @@ def test_what_is_next_for_a_ros2_robot_is_to_start_it(tmp_path: Path, capsys: py
 
 
 def test_what_is_there_already_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["init", str(tmp_path), "--like", "wheeled"]) == 0
-    printed = capsys.readouterr().out
-    assert f"next: mdb up {tmp_path}" in printed
-    assert main(["init", str(tmp_path), "--like", "wheeled"]) == 2
+    mine = str(tmp_path / "my robot")
+    assert main(["init", mine, "--like", "wheeled"]) == 0
+    assert f"next: mdb up '{mine}' --inline" in capsys.readouterr().out
+    assert main(["init", mine, "--like", "wheeled"]) == 2
     assert "already; give another folder" in capsys.readouterr().err
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from shlex import quote
 
 from mdb_deploy.cli.options import Commands
 
@@ -48,13 +49,14 @@ def _init(arguments: argparse.Namespace) -> int:
 
 def _next(folder: Path, others: list[Path]) -> list[str]:
     """Return what to do with what was written: beside the experiment there are `others`, none for ROS 2."""
+    where = quote(str(folder))
     if not others:
         return [
             "start ROS 2's router (ros2 run rmw_zenoh_cpp rmw_zenohd) and the robot; see [robot.options]",
-            f"mdb up {folder} --listen tcp/127.0.0.1:7448",
+            f"mdb up {where} --listen tcp/127.0.0.1:7448",
         ]
-    quick = f"mdb up {folder} --inline --iterations 300    (a quick try in one process)"
-    robots = [path for path in others if path.stem.endswith("_robot")]
-    if robots:
-        return [quick, *(f"mdb up {folder} --no-robot, and in another terminal: python {robot}" for robot in robots)]
-    return [quick, f"mdb up {folder}                              (the whole, in processes)"]
+    quick = f"mdb up {where} --inline --iterations 300    (a quick try in one process)"
+    robot = next((path for path in others if path.stem.endswith("_robot")), None)
+    if robot is not None:
+        return [quick, f"mdb up {where} --no-robot, and in another terminal: python {quote(str(robot))}"]
+    return [quick, f"mdb up {where}                              (the whole, in processes)"]
