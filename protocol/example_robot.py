@@ -6,6 +6,7 @@ import queue
 import random
 import sys
 import time
+import uuid
 
 import msgpack
 import zenoh
@@ -53,19 +54,33 @@ def read(sample):
     return action if known and fits and counts else None
 
 
+def others_of(session, claim):
+    """Return who else is this brain's robot, or is about to be, once we have claimed its place (duty 1)."""
+    until_s = time.monotonic() + 3.0
+    while True:
+        replies = [r for key in ("alive/robot/*", "claim/robot/body/*") for r in session.liveliness().get(KEYS + key)]
+        others = {str(reply.ok.key_expr) for reply in replies if reply.ok} - {claim}
+        if not others or min(others) < claim or time.monotonic() > until_s:
+            return others
+        time.sleep(0.1)
+
+
 def main():
-    config = {"mode": "client", "connect": {"endpoints": [ROUTER]}, "scouting": {"multicast": {"enabled": False}}}
+    connect = {"endpoints": [ROUTER], "timeout_ms": 60_000, "exit_on_failure": True}  # waits for a router
+    config = {"mode": "client", "connect": connect, "scouting": {"multicast": {"enabled": False}}}
     body, actions, ahead, since_s = Body(), queue.Queue(), None, 0.0
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
-        if any(reply.ok for reply in session.liveliness().get(KEYS + "alive/robot/*")):
-            sys.exit("a robot of this brain lives already")
+        claim = f"{KEYS}claim/robot/body/{uuid.uuid4().hex}"
+        claimed = session.liveliness().declare_token(claim)  # a token ends with its variable
+        if others := others_of(session, claim):
+            sys.exit(f"a robot of this brain lives already, or starts at this moment: {', '.join(others)}")
         body.begin()
         here, near = body.scene(), body.sense()
         perception = {"iteration": 0, "event": "none", "outcome": near, "reading": near, "done": None}
         scene = {"iteration": 0, "episode": 0, "successes": 0, "event": "none", "success": False, "ended": False}
         scene |= {"action": None, "before": None, "reached": here, "now": here}
         hears = session.declare_subscriber(KEYS + "action", actions.put)
-        with hears, session.liveliness().declare_token(KEYS + "alive/robot/body"):  # a token ends with its variable
+        with hears, claimed, session.liveliness().declare_token(KEYS + "alive/robot/body"):
             while True:
                 perception["stamp"] = time.monotonic()
                 for name, message in (("Scene", scene), ("Perception", perception)):

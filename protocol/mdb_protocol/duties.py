@@ -24,9 +24,13 @@ class Duty(NamedTuple):
 DUTIES = {
     1: Duty(
         "be there, and alone",
-        "Hold the liveliness token `alive/robot/body`, declared when you are ready, after all else. Before that, ask "
-        "who holds `alive/robot/*`: while somebody does, do not start.",
-        "The brain begins when the token is there. Two robots of one brain would mix without a word.",
+        "At your start declare the liveliness token `claim/robot/body/NAME`, NAME being letters and digits that "
+        "you draw at random; then ask who else holds `claim/robot/body/*` or `alive/robot/*`. When nobody does, the "
+        "place is yours. While somebody does, do not start: end at once when one of those keys sorts before your "
+        "claim, else ask again, for 3 s at the most. Keep the claim, and declare `alive/robot/body` when you are "
+        "ready, after all else.",
+        "The brain begins when `alive/robot/body` is there. Two robots of one brain would mix: of two that start in "
+        "the same moment each sees the other's claim, and the names say which of them ends.",
     ),
     2: Duty(
         "speak the protocol",

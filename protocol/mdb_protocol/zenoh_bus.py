@@ -232,6 +232,12 @@ class ZenohBus(Bus):
         """Return the names of all brains of which anybody is alive at this router; with keys only one's own."""
         return keys.brains_of(self._tokens(keys.ALIVE_ANYWHERE))
 
+    def sharing(self, role: str, instance: str) -> int:
+        """Return how many sessions hold this token, which should be one; 0 when the router does not say."""
+        key = f"@/*/router/token/{ALIVE.at(self.brain, role=role, instance=instance)}"
+        replies = self._session.get(key, timeout=TOKENS_S)
+        return sum(len(json.loads(reply.ok.payload.to_bytes())["clients"]) for reply in replies if reply.ok)
+
     def alive(self) -> frozenset[str]:
         """See `Bus.alive`; the first call asks and from then on follows the changes."""
         if self._alive is None:
@@ -287,6 +293,7 @@ def open_client(
     connect: str, bundle: Bundle | None, timeout_s: float, give_up: Callable[[], bool] = lambda: False
 ) -> zenoh.Session:
     """Return a session through a router; BusError when none answers within the bound, or it refuses."""
+    retry = {"period_init_ms": RETRY_MS, "period_max_ms": 4 * RETRY_MS, "period_increase_factor": 1.5}
     config = zenoh.Config.from_json5(
         json.dumps(
             {
@@ -295,11 +302,7 @@ def open_client(
                     "endpoints": [connect],
                     "timeout_ms": 1000,
                     "exit_on_failure": True,
-                    "retry": {
-                        "period_init_ms": RETRY_MS,
-                        "period_max_ms": 4 * RETRY_MS,
-                        "period_increase_factor": 1.5,
-                    },
+                    "retry": retry,
                 },
                 "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
                 "transport": {

@@ -82,6 +82,14 @@ def check(spec: Spec, values: Mapping[str, float]) -> None:
         raise BodyError(f"action {dict(values)!r} is none of the {len(spec.choices)} that this body can carry out")
 
 
+def check_episode(seed: int, episode: int) -> None:
+    """Raise BodyError when these are no seed of a run, or no number of an episode."""
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64 or episode < 0:
+        raise BodyError(
+            f"seed={seed!r}, episode={episode!r}; expected ints, the seed 0 to 2**64 - 1, the episode 0 or more"
+        )
+
+
 class Body(Protocol):
     """A machine in its world. One thread uses it at a time, but for `halt`."""
 
@@ -195,5 +203,6 @@ __all__ = [
     "Spec",
     "Unrestorable",
     "check",
+    "check_episode",
     "picture_of",
 ]

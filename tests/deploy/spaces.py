@@ -28,6 +28,26 @@ SEEN: dict[str, spaces.Space[Any]] = {
     "Grid": spaces.Box(0, 10, (7, 7, 3), np.uint8),
     "Many": spaces.Discrete(500),
 }
+
+
+class Mission(spaces.Space[str]):
+    """A kind of space that is not Gymnasium's own, as MiniGrid has one."""
+
+    def sample(self, *_: Any, **__: Any) -> str:
+        return "go there"
+
+    def contains(self, x: object) -> bool:
+        return isinstance(x, str)
+
+
+SEEN["Mission"] = spaces.Dict(
+    {
+        "mission": Mission(),
+        "goal": spaces.Text(5),
+        "pose": spaces.Tuple((NUMBERS, spaces.Sequence(NUMBERS))),
+        "image": NUMBERS,
+    }
+)
 SEEN["Words"] = spaces.Dict({"motor": NUMBERS, "note": spaces.Discrete(3), "reward": NUMBERS, "0": NUMBERS})
 DONE: dict[str, spaces.Space[Any]] = {
     "Start": spaces.Discrete(3, start=2),
@@ -45,7 +65,12 @@ DONE: dict[str, spaces.Space[Any]] = {
 REFUSED: dict[str, tuple[spaces.Space[Any], spaces.Space[Any], str]] = {
     "Text": (spaces.Text(5), TWO, "observation is .*, a Text: its length or its kind changes"),
     "Sequence": (spaces.Sequence(NUMBERS), TWO, "a Sequence: its length or its kind changes"),
-    "Graph": (spaces.Dict({"map": spaces.Graph(NUMBERS, None)}), TWO, "map is .*, a Graph"),
+    "Graph": (
+        spaces.Dict({"map": spaces.Graph(NUMBERS, None)}),
+        TWO,
+        "has nothing that can be a number; expected Box",
+    ),
+    "Said": (NUMBERS, spaces.Dict({"gas": TWO, "say": spaces.Text(5)}), "say is .*, a Text"),
     "States": (spaces.Discrete(5000), TWO, "a Discrete of 5000 values, among which nothing tells which are alike"),
     "Long": (spaces.Box(-1.0, 1.0, (5000,), F), TWO, "has 5000 numbers; expected at most 1024"),
     "One": (NUMBERS, spaces.Discrete(1), "there is one action only"),

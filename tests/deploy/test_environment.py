@@ -24,7 +24,7 @@ def follow(command: list[str], folder: Path, run: Path | None = None) -> str:
     replaced = {
         "mdb": [sys.executable, "-m", "mdb_deploy.cli"],
         "python": [sys.executable],
-        "analysis.py": [str(EXAMPLES / "analysis.py")],
+        "deploy/examples/analysis.py": [str(EXAMPLES / "analysis.py")],
         "RUN": [str(run)],
     }
     words = [part for word in command for part in replaced.get(word, [word])]

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import structlog
 
 gymnasium = pytest.importorskip("gymnasium")
 
 from mdb_deploy import Run, run  # noqa: E402
 from mdb_deploy.begin.folder import TEMPLATE_KINDS, begin  # noqa: E402
 from mdb_deploy.cli.main import main  # noqa: E402
-from mdb_deploy.experiments import EXPERIMENTS  # noqa: E402
+from mdb_deploy.experiments import EXPERIMENTS, default_experiment, experiment_path  # noqa: E402
 from mdb_protocol.errors import MdbError  # noqa: E402
 from mdb_sim.body import BodyError  # noqa: E402
 from mdb_sim.runs.experiment import Experiment  # noqa: E402
@@ -63,6 +64,11 @@ def test_every_kind_of_space_runs_at_once(name: str, tmp_path: Path) -> None:
     assert done.record.experiment.robot.options["env"] == f"{name}-v0"
 
 
+def test_parts_that_cannot_be_sensed_are_left_out_and_named(tmp_path: Path) -> None:
+    experiment, _ = begin(tmp_path / "new", "gymnasium:SeeMission-v0")
+    assert "# not sensed, since its length or kind changes: goal, mission, pose_1\n" in experiment.read_text()
+
+
 @pytest.mark.parametrize("name", spaces.REFUSED)
 def test_what_cannot_be_done_is_refused_with_a_reason_and_nothing_is_written(name: str, tmp_path: Path) -> None:
     with pytest.raises(MdbError, match=spaces.REFUSED[name][2]):
@@ -78,6 +84,7 @@ def test_what_cannot_be_done_is_refused_with_a_reason_and_nothing_is_written(nam
             "gymnasium:no_such_module:Env-v0",
             "No module named 'no_such_module'.*put it into the folder if it is yours",
         ),
+        ("gymnasium:ALE/Pong-v5", r"gymnasium:MODULE:ENV, as gymnasium:ale_py:ALE/Pong-v5"),
         ("gymnasium", "no kind of robot; expected one of gymnasium:ENV"),
         ("arms", "no kind of robot; expected one of gymnasium:ENV"),
     ],
@@ -87,12 +94,56 @@ def test_a_kind_that_there_is_not(like: str, says: str, tmp_path: Path, capsys: 
     assert re.search(says, capsys.readouterr().err)
 
 
-def test_what_is_there_already_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["init", str(tmp_path), "--like", "wheeled"]) == 0
+def test_what_is_next_for_a_ros2_robot_is_to_start_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", str(tmp_path / "turtle"), "--like", "ros2"]) == 0
     printed = capsys.readouterr().out
-    assert f"next: mdb up {tmp_path}" in printed
-    assert main(["init", str(tmp_path), "--like", "wheeled"]) == 2
+    assert "next: start ROS 2's router (ros2 run rmw_zenoh_cpp rmw_zenohd) and the robot" in printed
+    assert "--inline" not in printed
+
+
+def test_what_is_there_already_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = str(tmp_path / "my robot")
+    assert main(["init", mine, "--like", "wheeled"]) == 0
+    assert f"next: mdb up '{mine}' --inline" in capsys.readouterr().out
+    assert main(["init", mine, "--like", "wheeled"]) == 2
     assert "already; give another folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("folder", ["taken", "taken/new"])
+def test_a_folder_that_cannot_be_made_is_said(
+    folder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").write_text("a file")
+    assert main(["init", str(tmp_path / folder), "--like", "arm"]) == 2
+    assert f"mdb: {tmp_path / folder}: " in capsys.readouterr().err
+
+
+def test_the_experiment_in_this_folder_is_the_one_that_nobody_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert experiment_path(default_experiment()) == EXPERIMENTS / "paper.toml"
+    begin(tmp_path, "wheeled")
+    assert experiment_path(default_experiment()) == Path("experiment.toml")
+
+
+def test_an_environment_that_fails_without_a_word_is_named_with_the_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(**_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(gymnasium, "make", lambda *_, **options: broken(**options))
+    with pytest.raises(MdbError, match=r"'Bad-v0' cannot be made: AssertionError in .*test_init.py, line \d+: raise"):
+        begin(tmp_path / "new", "gymnasium:Bad-v0")
+
+
+def test_what_gymnasium_warns_of_is_one_line(tmp_path: Path) -> None:
+    with structlog.testing.capture_logs() as said:
+        begin(tmp_path / "old", "gymnasium:CartPole-v0")
+    assert {line["event"] for line in said} == {
+        "The environment CartPole-v0 is out of date. You should consider upgrading to version `v1`."
+    }
 
 
 def test_an_environment_of_one_s_own_lies_in_the_folder(tmp_path: Path) -> None:
@@ -125,7 +176,7 @@ def test_a_ros2_robot_s_file_is_the_shipped_one_under_another_name(tmp_path: Pat
 
 @pytest.mark.parametrize("seen", [*spaces.SEEN.values(), *spaces.DONE.values()], ids=str)
 def test_numbers_and_values_of_a_space_go_both_ways(seen: gymnasium.Space) -> None:
-    from mdb_sim.bodies.spaces import ends, leaves, numbers_of, value_of
+    from mdb_sim.bodies.spaces import ends, leaves, left_out, numbers_of, value_of
 
     seen.seed(3)
     found = leaves(seen, "x", 12)
@@ -136,7 +187,7 @@ def test_numbers_and_values_of_a_space_go_both_ways(seen: gymnasium.Space) -> No
         low, high = (leaf.low - leaf.low, leaf.high - leaf.low) if leaf.index else (leaf.low, leaf.high)
         assert (low <= mine).all()
         assert (mine <= high).all()
-    if all(leaf.shape is None for leaf in found):
+    if all(leaf.shape is None for leaf in found) and not left_out(seen):
         told = [number for leaf in found for number in (ends(leaf, 1.0)[0] * 0.4 + ends(leaf, 1.0)[1] * 0.6).tolist()]
         assert seen.contains(value_of(seen, iter(told)))
 

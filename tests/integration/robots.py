@@ -27,6 +27,12 @@ BROKEN = {
         1,
         "no token",
     ),
+    "claims nothing": Broken(
+        "claim/robot/body/{",
+        "claim/machine/body/{",
+        1,
+        "there is no claim; expected one",
+    ),
     "speaks another version": Broken(
         'HEAD = "application/msgpack;mdb=2;"',
         'HEAD = "application/msgpack;mdb=3;"',
@@ -67,7 +73,7 @@ BROKEN = {
         "time.sleep(0.05)",
         "time.sleep(5)",
         6,
-        "no outcome of the action of iteration 0 within 2 s",
+        "of iteration 0 within 2 s",
     ),
     "does not give back what it did": Broken(
         '"done": action',
@@ -124,6 +130,9 @@ BROKEN = {
         "of its scene changed",
     ),
 }
+
+NEGLECTS = Broken("if others := others_of(session, claim):", "if others := []:", 1, "")
+"""One that does not ask whether there is another: from outside nobody sees that of it alone."""
 
 
 class Robot:

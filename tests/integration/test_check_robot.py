@@ -43,7 +43,7 @@ def test_the_example_does_all_its_duties(endpoint: str) -> None:
 def test_a_robot_that_does_not_come_holds_nothing(endpoint: str) -> None:
     result = mdb("check-robot", "--connect", endpoint, "--wait", "0.1")
     assert result.returncode == 1
-    assert "no robot came within 0.1 s" in result.stdout
+    assert "no robot of brain pioneer came within 0.1 s" in result.stdout
     assert result.stdout.count("not tried") == len(DUTIES) - 1
 
 

@@ -60,7 +60,7 @@ def test_the_robot_program_acts_once_and_shows_again(tmp_path: Path) -> None:
             second = subprocess.run(
                 program, cwd=tmp_path / "mine", capture_output=True, text=True, timeout=30.0, check=False
             )
-            assert "a robot of this brain lives already" in second.stderr
+            assert "brain mine has its robot/body already: process " in second.stderr
         finally:
             robot.terminate()
             robot.wait(10.0)

@@ -11,10 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from mdb_deploy.experiments import experiment_path
+from mdb_deploy.running.watch import Watch
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_sim.runs.experiment import Experiment
 from tests.integration.brain import SHORT, Brain, mdb, until
-from tests.integration.robots import Robot
+from tests.integration.robots import NEGLECTS, Robot
 from tests.integration.test_survival import LONG, iteration_after
 
 ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"
@@ -61,6 +64,41 @@ def test_the_brain_waits_for_a_robot_and_learns_with_it(endpoint: str, tmp_path:
     finally:
         said = end(brain)
     assert "begins when a robot comes to mdb/pioneer" in said
+
+
+@pytest.mark.parametrize("attempt", range(3))
+def test_of_two_robots_that_start_at_the_same_moment_one_stays(attempt: int, endpoint: str) -> None:
+    with (
+        ZenohBus(f"pair-{attempt}", endpoint) as bus,
+        Robot(endpoint, bus.brain) as one,
+        Robot(endpoint, bus.brain) as two,
+    ):
+        both = one.process, two.process
+        until(lambda: any(process.poll() is not None for process in both))
+        until(lambda: "robot/body" in bus.alive())
+        assert [process.poll() for process in both].count(None) == 1
+        assert (bus.sharing("robot", "body"), len(bus.holders("robot", "body"))) == (1, 1)
+
+
+@pytest.mark.long
+def test_a_run_does_not_begin_with_two_robots_that_do_not_ask_and_ends_when_a_second_comes(
+    endpoint: str, tmp_path: Path
+) -> None:
+    brain = up(endpoint, tmp_path / "runs", "--no-robot", settings=LONG)
+    try:
+        with ZenohBus("pioneer", endpoint) as bus, Robot(endpoint, "pioneer", NEGLECTS):
+            reports = bus.subscriber(keys.ITERATION)
+            with Robot(endpoint, "pioneer", NEGLECTS):
+                until(lambda: bus.sharing("robot", "body") == 2)
+                until(lambda: "evolver/object" in bus.alive())
+                assert not until_not(lambda: "optimizer/action" in bus.alive(), 1.0)
+            iteration_after(bus, reports, 3)
+            with Robot(endpoint, "pioneer", NEGLECTS):
+                assert brain.wait(30.0) == 2
+    finally:
+        said = end(brain)
+    assert "one robot is awaited; stop the others: 2 robots hold alive/robot/body of brain pioneer" in said
+    assert "Stop all but one, and go on with 'mdb up --resume" in said
 
 
 @pytest.mark.long
@@ -151,6 +189,19 @@ def test_who_was_killed_is_followed_at_once(endpoint: str, tmp_path: Path) -> No
             assert second.poll() is None
         finally:
             end(second)
+
+
+def test_of_a_run_whose_router_is_gone_is_said_how_to_go_on(tmp_path: Path) -> None:
+    router = Router(ROUTER_CONFIG, "tcp/127.0.0.1:0")
+    watch = Watch(Experiment.read(experiment_path("paper")), tmp_path, None)
+    try:
+        watch.join(router.endpoint())
+        assert watch.lost() == f"; the logs of the processes are in {tmp_path / 'logs'}"
+        router.close()
+        until(lambda: "is gone. One that 'mdb up' starts ends with it; 'mdb run router'" in watch.lost())
+        assert f"mdb up --resume {tmp_path} --connect" in watch.lost()
+    finally:
+        watch.close()
 
 
 def test_connect_says_when_no_router_answers(tmp_path: Path) -> None:

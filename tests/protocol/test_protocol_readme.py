@@ -28,13 +28,13 @@ def test_the_example_is_the_file_beside_it_and_needs_zenoh_and_msgpack_alone() -
     example = (ROOM / "example_robot.py").read_text()
     assert f"```python\n{example}```" in PAGE
     imported = set(re.findall(r"^import (\w+)", example, re.MULTILINE))
-    assert imported - {"json", "math", "queue", "random", "sys", "time"} == {"zenoh", "msgpack"}
+    assert imported - {"json", "math", "queue", "random", "sys", "time", "uuid"} == {"zenoh", "msgpack"}
     assert "from " not in example
 
 
 def test_the_keys_of_a_robot_are_rows_of_the_table() -> None:
     named = re.findall(r"^\| `([\w/]+)` \| (?:reads|writes|liveliness token) \|", PAGE, re.MULTILINE)
-    assert len(named) == 4
+    assert len(named) == 5
     assert all(keys.find("pioneer", f"mdb/pioneer/{path}") for path in named)
 
 

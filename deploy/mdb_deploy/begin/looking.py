@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -18,13 +19,15 @@ from mdb_deploy.begin.known import Names, names_of
 from mdb_protocol.errors import MdbError
 from mdb_protocol.messages import NOTHING, VALUE_BOUND
 from mdb_sim.bodies.environment import REWARD, GymnasiumBody
-from mdb_sim.bodies.spaces import Leaf
+from mdb_sim.bodies.spaces import Leaf, left_out
 from mdb_sim.body import Actuator, BodyError, Numbers, Sensor, Spec
 
 ACTIONS = 600
 """Actions at random, from which is told what the spaces do not say."""
 OF_IMAGES = 100
 """The same, of an environment that draws an image for each."""
+LOOK_S, FEWEST = 20.0, 50
+"""In an environment that is slow it is acted for so long, but so often at the least."""
 SEED = 1
 TERMINATED, TRUNCATED = "terminated", "truncated"
 NAMED_APART = 48
@@ -73,6 +76,8 @@ class Machine:
     """Actions in an episode, if the environment ends it by itself."""
     reward: Reward
     image: bool
+    left_out: tuple[str, ...]
+    """Parts of an observation that have no numbers which could be sensed."""
 
 
 def look(env: str, folder: Path) -> Machine:
@@ -100,11 +105,12 @@ def _mended(reason: str) -> str:
     """Add what to do where an environment itself is not to be had."""
     if "doesn't exist" in reason or "not found" in reason.lower():
         return (
-            f"{reason} `python -c 'import gymnasium; gymnasium.pprint_registry()'` lists those that there are; one "
-            "that a module of yours registers is named 'gymnasium:MODULE:ENV'"
+            f"{reason} `python -c 'import gymnasium; gymnasium.pprint_registry()'` lists those that there are. One "
+            "that another package registers, or a module of yours, is named with it: gymnasium:MODULE:ENV, as "
+            "gymnasium:ale_py:ALE/Pong-v5 or gymnasium:minigrid:MiniGrid-Empty-8x8-v0"
         )
     if "No module named" in reason:
-        return f"{reason}; install it, or put it into the folder if it is yours"
+        return f"{reason.rstrip('.')}. Install it with pip, or put it into the folder if it is yours"
     return reason
 
 
@@ -136,6 +142,7 @@ def _machine(env: str, body: GymnasiumBody, names: Names) -> Machine:
         longest,
         _reward(rewards, last),
         image,
+        left_out(body.env.observation_space),
     )
 
 
@@ -145,7 +152,10 @@ def _act(body: GymnasiumBody, actions: int) -> tuple[dict[str, list[float]], lis
     values: defaultdict[str, list[float]] = defaultdict(list)
     rewards, last, episode = [], [], 0
     reading = body.reset(SEED, episode)
-    for _ in range(actions):
+    until_s = time.monotonic() + LOOK_S
+    for done in range(actions):
+        if done >= FEWEST and time.monotonic() > until_s:
+            break
         for name, value in reading.items():
             values[name] += value if isinstance(value, list) else [value]
         outcome = body.act(_any(body.spec, rng))

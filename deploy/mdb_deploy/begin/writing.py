@@ -39,7 +39,7 @@ def experiment(machine: Machine, name: str, policy: str) -> str:
         env=machine.env,
         name=name,
         policy=policy,
-        channels=_lines(line for variable in machine.variables for line in _channel(variable)),
+        channels=_lines([*_left_out(machine), *(line for each in machine.variables for line in _channel(each))]),
         notes=len(commands(machine)),
         acted=_lines(_acted(machine)),
         actions=_lines(_choices(machine) if machine.choices else _ranges(machine.actuators)),
@@ -80,6 +80,11 @@ def commands(machine: Machine) -> tuple[str, ...]:
 
 def _filled(template: str, **values: object) -> str:
     return Template((TEMPLATES / template).read_text(encoding="utf-8")).substitute(values)
+
+
+def _left_out(machine: Machine) -> Iterator[str]:
+    if machine.left_out:
+        yield f"# not sensed, since its length or kind changes: {', '.join(machine.left_out)}"
 
 
 def _channel(variable: Variable) -> Iterator[str]:

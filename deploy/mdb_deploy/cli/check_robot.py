@@ -39,8 +39,8 @@ def _check(arguments: argparse.Namespace) -> int:
     from mdb_deploy.running.processes import RouterOptions, open_router
     from mdb_deploy.trials.robot_check import RobotCheck
     from mdb_deploy.trials.robot_link import Link
+    from mdb_protocol.holding import hold
     from mdb_protocol.zenoh_bus import ZenohBus
-    from mdb_services.shell.holding import hold
     from mdb_sim.runs.experiment import Experiment
 
     if arguments.connect and arguments.listen:

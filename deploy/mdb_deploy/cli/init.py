@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from shlex import quote
 
 from mdb_deploy.cli.options import Commands
 
@@ -42,10 +43,20 @@ def _init(arguments: argparse.Namespace) -> int:
     sys.stdout.write(f"{experiment}: the experiment; read it first\n")
     for path in others:
         sys.stdout.write(f"{path}: {PARTS[path.stem.rpartition('_')[2]]}\n")
-    sys.stdout.write(f"next: mdb up {arguments.folder} --inline --iterations 300    (a quick try in one process)\n")
-    robots = [path for path in others if path.stem.endswith("_robot")]
-    for robot in robots:
-        sys.stdout.write(f"      mdb up {arguments.folder} --no-robot, and in another terminal: python {robot}\n")
-    if not robots:
-        sys.stdout.write(f"      mdb up {arguments.folder}                              (the whole, in processes)\n")
+    sys.stdout.write("next: " + "\n      ".join(_next(arguments.folder, others)) + "\n")
     return 0
+
+
+def _next(folder: Path, others: list[Path]) -> list[str]:
+    """Return what to do with what was written: beside the experiment there are `others`, none for ROS 2."""
+    where = quote(str(folder))
+    if not others:
+        return [
+            "start ROS 2's router (ros2 run rmw_zenoh_cpp rmw_zenohd) and the robot; see [robot.options]",
+            f"mdb up {where} --listen tcp/127.0.0.1:7448",
+        ]
+    quick = f"mdb up {where} --inline --iterations 300    (a quick try in one process)"
+    robot = next((path for path in others if path.stem.endswith("_robot")), None)
+    if robot is not None:
+        return [quick, f"mdb up {where} --no-robot, and in another terminal: python {quote(str(robot))}"]
+    return [quick, f"mdb up {where}                              (the whole, in processes)"]

@@ -88,6 +88,11 @@ def main(argv: list[str] | None = None) -> int:
         wanted = f"pip install 'multilevel-darwinist-brain[{extra}]'"
         sys.stderr.write(f"mdb: this needs {error.name}, which is not installed: {wanted}\n")
         return 2
+    except OSError as error:
+        if error.filename is None:
+            raise
+        sys.stderr.write(f"mdb: {error.filename}: {error.strerror}; give a path that can be read and written\n")
+        return 2
     except KeyboardInterrupt:
         return 130
     return status

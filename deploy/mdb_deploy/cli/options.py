@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from mdb_deploy.experiments import default_experiment
+
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 KEYS_HELP = "your bundle of 'mdb keys', or on the brain's machine the key folder; for a router at tls/ or quic/"
 OPEN_HELP = "listen beyond this machine without keys: everyone there may read all and command the robot"
@@ -24,7 +26,10 @@ def add_keys(parser: argparse.ArgumentParser) -> None:
 def add_experiment(parser: argparse.ArgumentParser) -> None:
     """Add the experiment file and what changes it."""
     parser.add_argument(
-        "experiment", nargs="?", default="paper", help="experiment file, or the name of a shipped one (paper)"
+        "experiment",
+        nargs="?",
+        default=default_experiment(),
+        help="experiment file, its folder, or the name of a shipped one; else the one in this folder, or paper",
     )
     parser.add_argument("--pace", choices=["concurrent", "lockstep"], help="override the file's pace")
     parser.add_argument("--seed", type=int, help="override the file's seed")

@@ -21,9 +21,9 @@ from mdb_deploy.running.watch import JOIN_S, Watch
 from mdb_protocol import endpoints
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import MdbError
+from mdb_protocol.holding import hold
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE
-from mdb_services.shell.holding import hold
 from mdb_sim.runs.experiment import Experiment
 
 LOCK_FILE = "lock"
@@ -171,6 +171,6 @@ async def _follow(watch: Watch, runner: Runner, stop: asyncio.Event, progress: P
         if watch.finished():
             return 0
         if time.monotonic() - moved_s > stalled_s:
-            raise StartError(f"no iteration for {stalled_s:g} s; the logs of the processes are beside the run's log")
+            raise StartError(f"no iteration for {stalled_s:g} s{watch.lost()}")
         await asyncio.sleep(POLL_S)
     return ENDED_BY_USER

@@ -1,25 +1,26 @@
 """What `mdb up` itself hears of its brain, and says: who is alive, the progress, and that this name is taken.
 
 Owns the runner's own bus. It holds the brain's name on the router, so that a second `mdb up` of the name is refused
-before it has started anything.
+before it has started anything. Two robots of the name, of which neither asked for the other, are noticed here.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import structlog
 
 from mdb_deploy.running.compose import ROBOT, ROUTER
-from mdb_deploy.running.processes import ENDPOINT_FILE
+from mdb_deploy.running.processes import ENDPOINT_FILE, INSTANCES
 from mdb_deploy.running.progress import Progress
 from mdb_protocol import keys
 from mdb_protocol.bus import Bus
-from mdb_protocol.errors import BusError
+from mdb_protocol.errors import BusError, TakenError
+from mdb_protocol.holding import GONE_S, hold
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import MEMORY_FILE
-from mdb_services.shell.holding import hold
 from mdb_services.shell.service import Meter, announce
 from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
@@ -28,6 +29,12 @@ log = structlog.get_logger()
 
 JOIN_S = 2.0
 """Bound on joining a router that runs."""
+COUNTED_S = 1.0
+"""So often robots are counted."""
+MIXED = (
+    "{robots} robots hold alive/robot/body of brain {brain}, and neither asked for the other (duty 1 in "
+    "protocol/README.md): what they do would mix"
+)
 
 
 class Watch:
@@ -53,7 +60,9 @@ class Watch:
         self._iteration = 0
         self._awaited = await_robot and not (run / MEMORY_FILE).exists()
         """Whether a robot is awaited that has not acted: one of an earlier run has another count."""
-        self._elsewhere = False
+        self._elsewhere = self._mixed = False
+        self._counted_s = self._alone_s = time.monotonic()
+        """When robots were counted last, and when there was one at the most."""
         self.on_endpoint: Callable[[str], None] = lambda _: None
 
     def join(self, endpoint: str) -> None:
@@ -81,10 +90,28 @@ class Watch:
         shown = self._perceptions.take()
         if shown is None:
             return
-        self._awaited = shown.iteration > 0
-        if self._awaited and not self._elsewhere:
+        elsewhere, robots = shown.iteration > 0, self._robots()
+        if elsewhere and not self._elsewhere:
             log.warning("the robot has acted in an earlier run; start it again: it is awaited", at=shown.iteration)
-        self._elsewhere = self._awaited
+        if robots > 1 and not self._mixed:
+            log.warning("one robot is awaited; stop the others: " + MIXED.format(robots=robots, brain=self._brain))
+        self._elsewhere, self._mixed = elsewhere, robots > 1
+        self._awaited = elsewhere or self._mixed
+
+    def _robots(self) -> int:
+        return self._bus.sharing(ROBOT, INSTANCES[ROBOT]) if self._bus is not None else 0
+
+    def _count(self) -> None:
+        """Raise TakenError when there is more than one robot, and has been for longer than the dead are seen."""
+        now_s = time.monotonic()
+        if self._awaited or now_s - self._counted_s < COUNTED_S:
+            return
+        self._counted_s, robots = now_s, self._robots()
+        if robots <= 1:
+            self._alone_s = now_s
+        elif now_s - self._alone_s > GONE_S:
+            mixed = MIXED.format(robots=robots, brain=self._brain)
+            raise TakenError(f"{mixed}. Stop all but one, and go on with 'mdb up --resume {self._run}'")
 
     def _find(self, endpoint: str) -> None:
         try:
@@ -108,6 +135,7 @@ class Watch:
     def _serve(self) -> None:
         """Answer who asks how we are."""
         self.bus.serve()
+        self._count()
         if self._meter is not None:
             self._meter.tick()
 
@@ -126,6 +154,16 @@ class Watch:
             self._iteration = report.iteration
             moved = True
         return moved
+
+    def lost(self) -> str:
+        """Return what there is to say of a run in which nothing moves any more."""
+        if self._bus is not None and self._bus.connected():
+            return f"; the logs of the processes are in {self._run / 'logs'}"
+        where = self._endpoint.read_text(encoding="utf-8")
+        return (
+            f": the router at {where} is gone. One that 'mdb up' starts ends with it; 'mdb run router' starts one "
+            f"that stays. Go on with 'mdb up --resume {self._run} --connect ENDPOINT'"
+        )
 
     def finished(self) -> bool:
         """Whether the optimizer has said that the experiment is over."""

@@ -107,11 +107,20 @@ class RobotCheck:
         link.listen(self._wait_s, lambda: bool(link.robots() or link.shown or link.unreadable))
         link.listen(LATE_S, lambda: bool(link.robots() and link.shown))
         if not (link.robots() or link.shown or link.unreadable):
-            found(1, f"no robot came within {self._wait_s:g} s")
+            others = ", ".join(name for name in link.bus.brains() if name != link.bus.brain)
+            where = f"; here is {others}: is that the name in its keys?" if others else ""
+            found(1, f"no robot of brain {link.bus.brain} came within {self._wait_s:g} s{where}")
             raise StopTrial
         if link.robots() != ["body"]:
             had = ", ".join(f"alive/robot/{name}" for name in link.robots()) or "no token"
             found(1, f"there is {had}; expected alive/robot/body alone")
+        claims = link.claims()
+        if len(claims) != 1:
+            had = ", ".join(f"claim/robot/body/{name}" for name in claims) or "no claim"
+            why = "by it two that start in the same moment know of each other"
+            found(1, f"there is {had}; expected one claim/robot/body/NAME: {why}")
+        if (robots := link.bus.sharing("robot", "body")) > 1:
+            found(1, f"{robots} robots hold alive/robot/body; stop all but the one that is to be tried")
         found(1, None)
 
     def _idle(self) -> None:
@@ -155,7 +164,8 @@ class RobotCheck:
         """Tell an action as the brain does, and look at what comes of it; StopTrial when nothing does."""
         values, choice = self._values()
         if not self._link.tell_until(iteration, values, choice, self._patience_s):
-            self.report.found(6, f"no outcome of the action of iteration {iteration} within {self._patience_s:g} s")
+            told = f"the action {values} of iteration {iteration}"
+            self.report.found(6, f"no outcome of {told} within {self._patience_s:g} s")
             raise StopTrial
         self._look(iteration, duty=6)
 

@@ -59,6 +59,10 @@ class Link:
         """Return the instances of all robots that hold a token."""
         return sorted(name.partition("/")[2] for name in self.bus.alive() if name.startswith("robot/"))
 
+    def claims(self) -> list[str]:
+        """Return the names of all that hold the robot's place."""
+        return sorted(self.bus.holders("robot", "body"))
+
     def listen(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Take what it says until something is so, and return True, or for so long."""
         deadline = time.monotonic() + seconds

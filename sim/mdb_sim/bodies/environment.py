@@ -2,12 +2,14 @@
 
 Owns the way between the contract and `gymnasium.Env`. An episode's seed is a pure function of the run's seed and the
 episode's number. It goes on after a death by doing the episode's actions again. The environment's reward goes into
-the scene, for measurements; neither brain nor teacher is given it.
+the scene: the brain never sees it, a teacher may.
 """
 
 from __future__ import annotations
 
 import os
+import re
+import traceback
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,6 +17,7 @@ from typing import Any
 import gymnasium
 import msgspec
 import numpy as np
+import structlog
 
 from mdb_protocol.messages import MAX_IMAGE, VALUE_BOUND
 from mdb_services.mechanism.networks import streams
@@ -30,7 +33,21 @@ from mdb_sim.bodies.spaces import (
     numbers_of,
     value_of,
 )
-from mdb_sim.body import NOTHING, Actuator, BodyError, Numbers, Outcome, Reading, Resting, Sensor, Spec, check
+from mdb_sim.body import (
+    NOTHING,
+    Actuator,
+    BodyError,
+    Numbers,
+    Outcome,
+    Reading,
+    Resting,
+    Sensor,
+    Spec,
+    check,
+    check_episode,
+)
+
+log = structlog.get_logger()
 
 OBSERVATION = "observation"
 """The sensor when an observation is one space, and its numbers have no names: they are one vector."""
@@ -42,6 +59,7 @@ MOST_SHOWN = 250
 """Numbers of an observation that are in the scene."""
 REWARD = "reward"
 """The scene's number for the environment's reward of the last action."""
+COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 LONGEST = 20_000
 """Actions of an episode that are kept to be done again; a longer one begins anew after a death."""
 INSTALL = "pip install 'multilevel-darwinist-brain[gymnasium]'"
@@ -127,8 +145,7 @@ class GymnasiumBody(Resting):
     def reset(self, seed: int, episode: int) -> Reading:
         """See `Body.reset`."""
         self._open()
-        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64 or episode < 0:
-            raise BodyError(f"seed={seed!r}, episode={episode!r}; expected ints, the seed from 0 to 2**64 - 1")
+        check_episode(seed, episode)
         self._seed, self._episode = seed, episode
         self._observation, _ = self.env.reset(seed=streams.key(seed, f"episode/{episode}") % 2**31)
         self._before = self._plain() if self._rates else []
@@ -239,26 +256,39 @@ class GymnasiumBody(Resting):
 
 
 def _made(env: str, make: dict[str, Any]) -> gymnasium.Env[Any, Any]:
-    """Make an environment that can show images, or else one that cannot; BodyError tells why there is none."""
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=".*render_mode")  # one that cannot will do
-            return gymnasium.make(env, **({"render_mode": "rgb_array"} | make))
-    except Exception:  # it is asked again without; environments of others raise what they like
+    """Make an environment that can show images, or else one that cannot; BodyError tells why there is none.
+
+    What Gymnasium warns of, as of an old version, is said in the log once and in one line.
+    """
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
         try:
-            return gymnasium.make(env, **make)
-        except Exception as error:
-            raise BodyError(f"robot.options.env = {env!r} cannot be made: {_reason(error)}") from error
+            made = gymnasium.make(env, **({"render_mode": "rgb_array"} | make))
+        except Exception:  # it is asked again without; environments of others raise what they like
+            try:
+                made = gymnasium.make(env, **make)
+            except Exception as error:
+                raise BodyError(f"robot.options.env = {env!r} cannot be made: {_reason(error)}") from error
+    for said in dict.fromkeys(COLOURS.sub("", str(warning.message)) for warning in warned):
+        if "render_mode" not in said:  # one that cannot show images will do
+            log.warning(said.removeprefix("WARN: "), env=env)
+    return made
 
 
 def _reason(error: Exception) -> str:
     """Return what went wrong in an environment, and what would help where we know it."""
-    reason = str(error) or type(error).__name__
+    reason = str(error) or f"{type(error).__name__} {_place(error)}"
     if isinstance(error, gymnasium.error.DependencyNotInstalled):
         return f"{reason}; of this project: {INSTALL}"
     if "OpenGL" in reason:
         return f"{reason}; on a machine without a display, set MUJOCO_GL=egl"
     return reason
+
+
+def _place(error: Exception) -> str:
+    """Return where an error that says nothing arose."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"in {last.filename}, line {last.lineno}: {last.line}"
 
 
 def _spec(

@@ -1,7 +1,8 @@
 """Between the spaces of a Gymnasium environment and named numbers, both ways.
 
 A space is a tree; its leaves are what has numbers: a Box, a Discrete, a MultiBinary, each number of a MultiDiscrete.
-Owns what of Gymnasium's spaces can be a body's sensors and actuators, and the words in which the rest is refused.
+Owns what of Gymnasium's spaces can be a body's sensors and actuators, and the words in which the rest is refused. A
+part of an observation that cannot be sensed is left out, as long as there are others.
 """
 
 from __future__ import annotations
@@ -28,9 +29,12 @@ MOST_LETTERS = 58
 """In a name, so that there is room for a prefix."""
 MOST_GRID = 32
 """Rows and columns that an image is seen as, at most."""
+EXPECTED = "Box, Discrete, MultiDiscrete, MultiBinary, or a Dict or Tuple of them"
 WRAP = "a gymnasium.Wrapper of yours, registered as an environment, can make it one"
 
 Doubles = NDArray[np.float64]
+TAKEN = (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary, spaces.Dict, spaces.Tuple)
+"""Spaces whose values have the same numbers every time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,15 +66,30 @@ class Leaf:
 def leaves(space: spaces.Space[Any], name: str, grid: int | None = None) -> tuple[Leaf, ...]:
     """Return the leaves of a space in order; those of an only leaf are called `name`, others by their keys.
 
-    grid: so many rows and columns an image is seen as; None: images are not taken. BodyError names what cannot be.
+    grid: of an observation, so many rows and columns an image is seen as; None: of an action, of which nothing can be
+    left out. BodyError names what cannot be.
     """
     found = tuple(_leaves(space, "", name, grid))
+    if not found:
+        raise BodyError(f"{space} has nothing that can be a number; expected {EXPECTED}; {WRAP}")
     names = [leaf.name for leaf in found]
     if len(set(names)) < len(names):
         raise BodyError(f"{space} has names that are the same when written in plain letters: {', '.join(names)}")
     if len(longest := max((each for leaf in found for each in leaf.names), key=len, default="")) > MOST_LETTERS:
         raise BodyError(f"{space} has a name of {len(longest)} letters, {longest}; expected at most {MOST_LETTERS}")
     return found
+
+
+def left_out(space: spaces.Space[Any], path: str = "") -> tuple[str, ...]:
+    """Return the names of an observation's parts that `leaves` leaves out."""
+    match space:
+        case spaces.Dict():
+            parts = [(_joined(path, str(key)), part) for key, part in space.items()]
+        case spaces.Tuple():
+            parts = [(_joined(path, str(place)), part) for place, part in enumerate(space)]
+        case _:
+            return (path,) if path and not isinstance(space, TAKEN) else ()
+    return tuple(name for path, part in parts for name in left_out(part, path))
 
 
 def apart(found: tuple[Leaf, ...], taken: Collection[str], prefix: str) -> tuple[Leaf, ...]:
@@ -84,6 +103,8 @@ def apart(found: tuple[Leaf, ...], taken: Collection[str], prefix: str) -> tuple
 def _leaves(space: spaces.Space[Any], path: str, name: str, grid: int | None) -> Iterator[Leaf]:
     here = path or name
     match space:
+        case _ if path and grid is not None and not isinstance(space, TAKEN):
+            return
         case spaces.Dict():
             for key, part in space.items():
                 yield from _leaves(part, _joined(path, str(key)), name, grid)
@@ -104,8 +125,7 @@ def _leaves(space: spaces.Space[Any], path: str, name: str, grid: int | None) ->
         case _:
             raise BodyError(
                 f"{here} is {space}, a {type(space).__name__}: its length or its kind changes, and a network needs "
-                "the same numbers every time; expected Box, Discrete, MultiDiscrete, MultiBinary, or a Dict or "
-                f"Tuple of them; {WRAP}"
+                f"the same numbers every time; expected {EXPECTED}; {WRAP}"
             )
 
 
@@ -163,8 +183,10 @@ def combinations(found: tuple[Leaf, ...]) -> list[tuple[float, ...]]:
 
 
 def numbers_of(space: spaces.Space[Any], value: Any, grid: int) -> Iterator[float]:
-    """Yield a value's numbers in the order of the leaves; of what counts things, from 0 on."""
+    """Yield an observation's numbers in the order of the leaves; of what counts things, from 0 on."""
     match space:
+        case _ if not isinstance(space, TAKEN):
+            return
         case spaces.Dict():
             for key, part in space.items():
                 yield from numbers_of(part, value[key], grid)

@@ -17,7 +17,7 @@ import pybullet
 import pybullet_data
 
 from mdb_services.mechanism.networks import streams
-from mdb_sim.body import BodyError, Numbers, Outcome, Reading, Resting, Spec, check
+from mdb_sim.body import BodyError, Numbers, Outcome, Reading, Resting, Spec, check, check_episode
 
 SOLVER_ITERATIONS = 50
 """As for the Pioneer (sim/README.md, "Physics")."""
@@ -94,8 +94,7 @@ class BulletMachine(Resting, abc.ABC):
     def reset(self, seed: int, episode: int) -> Reading:
         """See `Body.reset`."""
         self._open()
-        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64 or episode < 0:
-            raise BodyError(f"seed={seed!r}, episode={episode!r}; expected ints, the seed from 0 to 2**64 - 1")
+        check_episode(seed, episode)
         self._put(seed, self.begin(streams.generator(seed, "placement", episode)))
         return self.reading()
 

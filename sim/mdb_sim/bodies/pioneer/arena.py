@@ -36,7 +36,7 @@ from mdb_sim.bodies.pioneer.world import (
     scene_of,
     spec_of,
 )
-from mdb_sim.body import NOTHING, BodyError, Numbers, Outcome, Reading, Resting, Spec, check
+from mdb_sim.body import NOTHING, BodyError, Numbers, Outcome, Reading, Resting, Spec, check, check_episode
 
 BODY_RADIUS_M = 0.22
 """Radius of the circle about the body's centre that touches things (sim/README.md, "The Pioneer 2 DX")."""
@@ -194,9 +194,8 @@ class ArenaRobot(Resting, abc.ABC):
     def reset(self, seed: int, episode: int) -> Reading:
         """See `Body.reset`: each episode has a placement of its own."""
         self._open()
-        self._seed = _checked_seed(seed)
-        if episode < 0:
-            raise BodyError(f"episode={episode}; expected 0 or more")
+        check_episode(seed, episode)
+        self._seed = seed
         if episode == 0:
             self._acts = 0
         self._unseen = 0
@@ -209,7 +208,8 @@ class ArenaRobot(Resting, abc.ABC):
         self._check_place(placement)
         if acts < 0:
             raise BodyError(f"acts={acts}; expected 0 or more")
-        self._seed, self._acts, self._unseen = _checked_seed(seed), acts, 0
+        check_episode(seed, 0)
+        self._seed, self._acts, self._unseen = seed, acts, 0
         self._put(placement)
 
     def state(self) -> bytes | None:
@@ -339,9 +339,3 @@ class ArenaRobot(Resting, abc.ABC):
                 f"{placement} is not inside the arena; expected coordinates within ±{half_m} m and a finite"
                 " heading; restore with the arena_m the run was begun with"
             )
-
-
-def _checked_seed(seed: int) -> int:
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64:
-        raise BodyError(f"seed={seed!r} is not a seed; expected an int from 0 to 2**64 - 1")
-    return seed

@@ -19,7 +19,7 @@ from mdb_sim.bodies.ros2 import sight
 from mdb_sim.bodies.ros2.drive import Driver, Ended
 from mdb_sim.bodies.ros2.messages import Scan
 from mdb_sim.bodies.ros2.options import options_of, spec_of
-from mdb_sim.body import NOTHING, BodyError, Numbers, Outcome, Reading, Spec, Unrestorable, check
+from mdb_sim.body import NOTHING, BodyError, Numbers, Outcome, Reading, Spec, Unrestorable, check, check_episode
 
 TRIES = 60
 """Places around the object that are drawn, until the way to one is free."""
@@ -59,8 +59,7 @@ class Ros2Robot(Unrestorable):
     def reset(self, seed: int, episode: int) -> Reading:
         """See `Body.reset`: it goes on where it stands, or drives to a place around the object before."""
         self._open()
-        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64 or episode < 0:
-            raise BodyError(f"seed={seed!r}, episode={episode!r}; expected ints, the seed from 0 to 2**64 - 1")
+        check_episode(seed, episode)
         self._driver.begin()
         if self._begun and episode > 0 and self.options.begin == "around":
             self._go_around(seed, episode)

@@ -12,6 +12,8 @@ from msgspec import structs
 from NAME_body import Robot
 
 from mdb_protocol import keys, messages
+from mdb_protocol.errors import MdbError
+from mdb_protocol.holding import hold
 from mdb_protocol.zenoh_bus import ZenohBus
 
 SEED, LONGEST = 1, 60  # of the places where it is put; actions in an episode
@@ -53,14 +55,10 @@ def may(body, action):
 def main(endpoint):
     """Show what is perceived, again and again, and do each action once."""
     body, age, ahead, since_s = Robot(), 0, None, 0.0
-    with ZenohBus("NAME", endpoint) as bus:
-        if any(token.startswith("robot/") for token in bus.alive()):
-            sys.exit("a robot of this brain lives already; end that one first")
-        actions, scenes, perceptions = (
-            bus.subscriber(keys.ACTION),
-            bus.publisher(keys.SCENE),
-            bus.publisher(keys.PERCEPTION),
-        )
+    with ZenohBus("NAME", endpoint, connect_timeout_s=60.0) as bus:  # waits so long for a router
+        hold(bus, "robot", "body")  # an error that says who it is if another robot has the place, or takes it now
+        actions = bus.subscriber(keys.ACTION)
+        scenes, perceptions = bus.publisher(keys.SCENE), bus.publisher(keys.PERCEPTION)
         reading, now = body.reset(SEED, 0), body.scene()
         perception = messages.Perception(iteration=0, outcome=reading, reading=reading)
         scene = messages.Scene(
@@ -86,4 +84,7 @@ def main(endpoint):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else "tcp/127.0.0.1:7447")
+    try:
+        main(sys.argv[1] if len(sys.argv) > 1 else "tcp/127.0.0.1:7447")
+    except MdbError as error:
+        sys.exit(str(error))

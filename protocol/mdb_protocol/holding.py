@@ -58,6 +58,12 @@ def _holder() -> str:
     return f"{host}.{os.getpid()}.{secrets.token_hex(4)}"
 
 
+def _process(holder: str) -> str:
+    """Tell who a holder is, by the name that `_holder` gave it; a robot of somebody else's has a name of its own."""
+    host, _, process = holder.rpartition(".")[0].rpartition(".")
+    return f"process {process} on {host}" if host else f"somebody who calls himself {holder}"
+
+
 def _ask(bus: Bus, role: str, instance: str) -> Status | None:
     try:
         answers: list[Status] = bus.query(keys.STATUS, ANSWER_S, role=role, instance=instance)
@@ -74,8 +80,7 @@ def _words(brain: str, role: str, instance: str, said: Status | None, others: fr
         who = f"process {said.pid} on {said.host or 'an unnamed host'}, since {since}"
         who += f", in {said.run}" if said.run else ""
     elif others:
-        host, process, _ = min(others).rsplit(".", 2)
-        who = f"process {process} on {host}, which is starting or does not answer"
+        who = f"{_process(min(others))}, which is starting or does not answer"
     return (
         f"brain {brain} has its {role}/{instance} already: {who}. Stop that one first, or give this brain another "
         "name: --set experiment.brain=NAME"

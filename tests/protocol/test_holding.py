@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import pytest
 
+from mdb_protocol import holding
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import TakenError
+from mdb_protocol.holding import hold
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.zenoh_bus import LEASE_MS, Router, ZenohBus
-from mdb_services.shell import holding
-from mdb_services.shell.holding import hold
 from mdb_services.shell.service import announce
 
 ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"
@@ -67,6 +67,11 @@ def test_who_does_not_answer_is_waited_for_and_then_named(monkeypatch: pytest.Mo
     with pytest.raises(TakenError, match="process 77 on a-host, which is starting or does not answer"):
         hold(MemoryBus(fabric, BRAIN), "robot", "body")
     starting.close()
+    foreign = MemoryBus(fabric, BRAIN)
+    foreign.claim("robot", "body", "5f0fcd4f")
+    with pytest.raises(TakenError, match="somebody who calls himself 5f0fcd4f, which is starting"):
+        hold(MemoryBus(fabric, BRAIN), "robot", "body")
+    foreign.close()
     MemoryBus(fabric, BRAIN).token("robot", "body")
     with pytest.raises(TakenError, match="somebody who does not say who it is"):
         hold(MemoryBus(fabric, BRAIN), "robot", "body")
