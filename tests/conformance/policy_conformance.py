@@ -125,7 +125,8 @@ class PolicyConformance:
             judged = None if after is None else policy.judge(before, after, NOTHING, wanted)
             if judged is not None:
                 assert abs(judged - expected) < 1e-3
-                assert (judged >= OBEYED) == (expected >= OBEYED)
+                if abs(expected - OBEYED) > 1e-3:  # at the bound itself rounding decides
+                    assert (judged >= OBEYED) == (expected >= OBEYED)
 
     def test_obedience_is_expected_of_those_actions_that_do_what_was_wanted_and_of_no_other(self):
         policy = self.make()
