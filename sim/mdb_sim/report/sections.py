@@ -290,13 +290,13 @@ def rivals(section: Section) -> str:
     plain = without_reward(section.own)
     return _paragraphs(
         "“Ours” hears notes and feedback. The TAMER-like learner hears the feedback of the same teacher on the same "
-        "schedule, never a note: in TAMER nobody commands. It regresses feedback on what is sensed and what is done "
-        "(scikit-learn's MLPRegressor) and does what promises most. Stable-Baselines3 learns by the environment's "
-        "reward alone, with its defaults, on the environment as Gymnasium makes it: DQN where actions are listed, else SAC; "
-        "and PPO. Each of its actions is one step of the environment. Its training ends when it was competent at "
-        f"{rewarded.LISTED.kept} checkpoints running"
-        + (f"; {', '.join(plain)} have no reward of their own" if plain else "")
-        + ". “Competent to the end”: from some trial on it was so at each. Actions of trials are not counted.",
+        "schedule, and never a note: in TAMER nobody commands. It regresses feedback on what is sensed and done "
+        "(scikit-learn's MLPRegressor), and does what promises most. Stable-Baselines3 has no teacher: it learns by "
+        "the environment's reward, with its defaults, on the environment as Gymnasium makes it. It is DQN where "
+        "actions are listed, else SAC; and PPO. Each of its actions is a step of the environment. Its training ends "
+        f"when it was competent at {rewarded.LISTED.kept} checkpoints running.",
+        f"These machines have no reward of their own: {', '.join(plain)}." if plain else "",
+        "“Competent to the end”: from some trial on it was so at each. Actions of trials are not counted.",
         rivals_table(section.own),
     )
 
