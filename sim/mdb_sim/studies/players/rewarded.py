@@ -10,7 +10,8 @@ episodes of their own, and scored as the machine is (`studies.machines`). Traini
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -20,7 +21,7 @@ from mdb_protocol.errors import ConfigError, MdbError
 from mdb_services.mechanism.networks import streams
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.record import Episode
-from mdb_sim.studies.machines import BY_FILE, REWARD, Machine
+from mdb_sim.studies.machines import BY_FILE, REWARD
 from mdb_sim.studies.rows import PhaseRow
 
 OFF_POLICY, PPO = "dqn-or-sac", "ppo"
@@ -56,18 +57,24 @@ def trained(experiment: Experiment, player: str = OFF_POLICY, budget: Budget | N
     learn from, MdbError when a library is missing.
     """
     machine = BY_FILE.get(experiment.brain.experiment.name)
-    if machine is None or not machine.rewarded:
+    score = None if machine is None or not machine.rewarded else machine.score
+    if machine is None or score is None:
         raise ConfigError(
             f"{experiment.brain.experiment.name} has no reward of its own; Stable-Baselines3 is compared on machines "
             f"of Gymnasium only: {', '.join(each.file for each in BY_FILE.values() if each.rewarded)}"
         )
     library = _library()
-    from gymnasium.spaces import Discrete
+    import gymnasium
 
     seed = experiment.brain.experiment.seed
-    with _Environments(experiment) as make:
+    options = experiment.robot.options
+    with ExitStack() as stack:
+
+        def make() -> Any:
+            return stack.enter_context(closing(gymnasium.make(options["env"], **options.get("make", {}))))
+
         env = make()
-        name = "PPO" if player == PPO else "DQN" if isinstance(env.action_space, Discrete) else "SAC"
+        name = "PPO" if player == PPO else "DQN" if isinstance(env.action_space, gymnasium.spaces.Discrete) else "SAC"
         budget = budget or (RANGED if name == "SAC" else LISTED)
         learner = getattr(library, name)("MlpPolicy", env, seed=seed % 2**31, device="cpu")
         rows = _Rows(experiment)
@@ -81,9 +88,8 @@ def trained(experiment: Experiment, player: str = OFF_POLICY, budget: Budget | N
             at = int(learner.num_timesteps)
             if at % every:
                 return True
-            names = experiment.robot.options.get("names", ())
-            found = _tried(learner, tries, names, streams.key(seed, f"rewarded/{at}"))
-            competent.append(rows.add(at, [_score(machine, episode) for episode in found]) >= machine.target)
+            found = _tried(learner, tries, options.get("names", ()), streams.key(seed, f"rewarded/{at}"))
+            competent.append(rows.add(at, [score(episode) for episode in found]) >= machine.target)
             return len(competent) < budget.kept or not all(competent[-budget.kept :])
 
         learner.learn(every * budget.checkpoints, callback=after_step)
@@ -99,26 +105,6 @@ def _library() -> Any:
             "PyTorch's CPU build first, then pip install 'multilevel-darwinist-brain[bench,gymnasium]'"
         ) from error
     return stable_baselines3
-
-
-class _Environments:
-    """Makes environments of an experiment file, and closes them in the end."""
-
-    def __init__(self, experiment: Experiment) -> None:
-        self._options, self._made = experiment.robot.options, list[Any]()
-
-    def __enter__(self) -> Callable[[], Any]:
-        return self._make
-
-    def _make(self) -> Any:
-        import gymnasium
-
-        self._made.append(gymnasium.make(self._options["env"], **self._options.get("make", {})))
-        return self._made[-1]
-
-    def __exit__(self, *_: object) -> None:
-        for env in self._made:
-            env.close()
 
 
 def _tried(learner: Any, envs: Sequence[Any], names: Sequence[str], seed: int) -> list[Episode]:
@@ -140,11 +126,6 @@ def _tried(learner: Any, envs: Sequence[Any], names: Sequence[str], seed: int) -
 
 def _place(names: Sequence[str], observation: Iterable[float], reward: float) -> dict[str, float]:
     return {**dict(zip(names, map(float, observation), strict=False)), REWARD: reward}
-
-
-def _score(machine: Machine, episode: Episode) -> float:
-    assert machine.score is not None
-    return machine.score(episode)
 
 
 class _Rows:
