@@ -12,9 +12,9 @@ from mdb_protocol.errors import ConfigError
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.measures import success_window
 from mdb_sim.runs.record import RunRecord
-from mdb_sim.studies import baselines
-from mdb_sim.studies.gaussian import Bandit, Induced, posterior
 from mdb_sim.studies.ideal import ideal_successes
+from mdb_sim.studies.players import baselines
+from mdb_sim.studies.players.gaussian import Bandit, Induced, posterior
 from mdb_sim.studies.rows import rows_of
 from mdb_sim.teaching.languages import make_language
 from tests.sim.test_measures import PAPER, REACH, TURNS, graded_feedback

@@ -24,7 +24,7 @@ from mdb_deploy.studies import workers as processes
 from mdb_protocol.errors import ConfigError, MdbError
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.studies import results, running, tables
-from mdb_sim.studies.catalogue import PHASE, Study
+from mdb_sim.studies.catalogue import PHASE, Study, Variant
 from mdb_sim.studies.results import Label, Result
 from mdb_sim.studies.running import Task
 
@@ -120,7 +120,7 @@ def tasks_of(study: Study, sweep: Sweep) -> list[Task]:
     return tasks
 
 
-def _called(variant: tables.Variant) -> set[str]:
+def _called(variant: Variant) -> set[str]:
     """Return the words by which a variant is asked for: its name's, and the experiment's that is its own."""
     return {results.word(variant.name), *([variant.file] if variant.file is not None else [])}
 

@@ -13,15 +13,16 @@ from statistics import median
 from mdb_sim.report.paper import statements_table
 from mdb_sim.report.sections import SECTIONS, Section
 from mdb_sim.report.short import in_short
+from mdb_sim.studies import machines
 from mdb_sim.studies.catalogue import REPORTED, Study
 from mdb_sim.studies.results import Result
 from mdb_sim.verdicts.quantities import all_runs_of, runs_of
 from mdb_sim.verdicts.statistics import seeds_text
 
 GALLERY = "gallery"
-UNPAIRED = ("reproduction",)
+UNPAIRED = ("reproduction", "rivals")
 """Studies that show each variant with all its own seeds."""
-OF_ALL_BODIES = ("machines",)
+OF_ALL_BODIES = machines.STUDIES
 """Studies whose variants are of different bodies: they are shown together, each with its own settings."""
 INTRODUCTION = """\
 # The study

@@ -17,6 +17,7 @@ from mdb_sim.figures.learning import Learning, draw_learning
 from mdb_sim.figures.machines import draw_machines
 from mdb_sim.studies import tables
 from mdb_sim.studies.catalogue import Study
+from mdb_sim.studies.players import rewarded
 from mdb_sim.studies.rows import PhaseRow
 from mdb_sim.verdicts.acceptance import criteria_table, error_without_obedience, failures, seeds_table
 from mdb_sim.verdicts.aims import aims_table
@@ -35,6 +36,7 @@ from mdb_sim.verdicts.quantities import (
     quantity_table,
     summary,
 )
+from mdb_sim.verdicts.rivals import rivals_table, without_reward
 from mdb_sim.verdicts.statistics import estimate, interval, markdown, number, percent, seeds_text, text, wilson
 
 
@@ -283,6 +285,22 @@ def learning_of(what: str, seeds: Mapping[int, Sequence[PhaseRow]]) -> Learning:
     return Learning(what, machine.measure, scored, list(seeds.values()), machine.target if scored else None)
 
 
+def rivals(section: Section) -> str:
+    """The same machines by others, to the same competence."""
+    plain = without_reward(section.own)
+    return _paragraphs(
+        "“Ours” hears notes and feedback. The TAMER-like learner hears the feedback of the same teacher on the same "
+        "schedule, and never a note: in TAMER nobody commands. It regresses feedback on what is sensed and done "
+        "(scikit-learn's MLPRegressor), and does what promises most. Stable-Baselines3 has no teacher: it learns by "
+        "the environment's reward, with its defaults, on the environment as Gymnasium makes it. It is DQN where "
+        "actions are listed, else SAC; and PPO. Each of its actions is a step of the environment. Its training ends "
+        f"when it was competent at {rewarded.LISTED.kept} checkpoints running.",
+        f"These machines have no reward of their own: {', '.join(plain)}." if plain else "",
+        "“Competent to the end”: from some trial on it was so at each. Actions of trials are not counted.",
+        rivals_table(section.own),
+    )
+
+
 def _variants_figure(section: Section, caption: str) -> str:
     runs = section.runs
     quantities = figure_quantities(runs)
@@ -316,5 +334,6 @@ SECTIONS: dict[str, Callable[[Section], str]] = {
     "comings": memory,
     "readapt": readapt,
     "machines": machines,
+    "rivals": rivals,
 }
 """What is shown of each study, by its name."""

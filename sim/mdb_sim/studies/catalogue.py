@@ -22,6 +22,20 @@ class Study:
     """Whether it makes its own phases, all of one length, in the place of the file's."""
 
 
+@dataclass(frozen=True)
+class Variant:
+    """An experiment file with something changed, or with another player than the brain."""
+
+    name: str
+    overrides: tuple[str, ...] = ()
+    player: str = "brain"
+    """Who plays, see `running.BRAIN`."""
+    applies: bool = True
+    """Whether there is anything to change in this experiment."""
+    file: str | None = None
+    """The shipped experiment in whose place it is run; None: the one that is asked for."""
+
+
 REPORTED = (
     Study("reproduction", "figures 4 to 6 of the paper, with graded and with binary reward", "4101-4150"),
     Study("paper", "the paper as written, and what each of our additions brings", "4101-4106"),
@@ -39,6 +53,9 @@ STUDIES = {
         Study("ablation", "as shipped against one ingredient less: table and figure", "11-20"),
         Study("readapt", "a body that changes: before, at, after; learning on and off", "6101-6110"),
         Study("machines", "machines taught by an experiment file alone: how long, and how good alone", "5301-5305"),
+        Study(
+            "rivals", "the same machines by others: Stable-Baselines3 from reward, a TAMER-like learner", "5301-5305"
+        ),
         Study("comings", "teachers A, B, A, B, A: how fast one who comes back is obeyed again", "11-20", True),
     )
 }

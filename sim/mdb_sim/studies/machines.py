@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.record import Episode, RunRecord
+from mdb_sim.studies.catalogue import Variant
 
 REWARD = "reward"
 """The scene's number for the environment's reward of the last action."""
@@ -74,6 +76,11 @@ class Machine:
     language: str = "random"
     settings: tuple[str, ...] = ()
     """What else is not as in the file."""
+
+    @property
+    def rewarded(self) -> bool:
+        """Whether it is an environment of Gymnasium, which has a reward of its own."""
+        return self.score in (reward, close)
 
 
 TWIN = ("robot.body=kinematic",)
@@ -163,3 +170,34 @@ def to_be_shown(episodes: Sequence[Episode], score: Score | None) -> list[tuple[
     middle, worst = ranked[len(ranked) // 2], ranked[0]
     found = [("median", middle)] + ([("worst", worst)] if of(worst) < of(middle) else [])
     return [(what, episode, None if score is None else score(episode)) for what, episode in found]
+
+
+# ---- the studies of them ----
+
+STUDIES = ("machines", "rivals")
+"""Their names in the catalogue. Each variant has a file and a body of its own."""
+BY_REWARD = {"Stable-Baselines3 (DQN or SAC)": "dqn-or-sac", "Stable-Baselines3 (PPO)": "ppo"}
+"""Who learns by the environment's reward alone, with their names as players, see `running.BRAIN`."""
+PLAYERS = {"ours": "brain", "TAMER-like": "tamer", **BY_REWARD}
+"""Beside them who learns by notes and feedback, and by feedback alone."""
+
+
+def taught(experiment: Experiment) -> list[Variant]:
+    """Each machine by its own file, taught and tried alone in turn."""
+    del experiment
+    return [Variant(machine.what, settings_of(machine), file=machine.file) for machine in MACHINES]
+
+
+def rivals(experiment: Experiment) -> list[Variant]:
+    """The same, and each machine with the other learners; who learns by a reward only where there is one."""
+    return [
+        Variant(
+            f"{variant.name}: {who}",
+            variant.overrides,
+            player=player,
+            file=variant.file,
+            applies=machine.rewarded or who not in BY_REWARD,
+        )
+        for machine, variant in zip(MACHINES, taught(experiment), strict=True)
+        for who, player in PLAYERS.items()
+    ]

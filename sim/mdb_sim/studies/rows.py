@@ -86,6 +86,10 @@ class PhaseRow:
     """Of every model, by its name: the error on each pair before it was learnt, nan where there was none."""
     films: tuple[Film, ...] = ()
     """Typical episodes of the last phase in which nobody taught, or else of the last, in pictures."""
+    judgements: float = math.nan
+    """How often somebody said how good an action was; nan in results of before this was counted."""
+    repeat: int = 1
+    """Steps of the environment that an action lasts."""
 
     @property
     def share(self) -> float:
@@ -146,6 +150,8 @@ def _row(
         capture_steps=np.array([episode.steps for episode in done], dtype=np.int32),
         paths=tuple(_path(episode) for _, episode in typical(done)),
         errors={name: errors[phase].astype(np.float32) for name, errors in record.prequential.items()},
+        judgements=float(np.sum(np.isfinite(record.feedback[phase]))),
+        repeat=int(record.experiment.robot.options.get("repeat", 1)),
         prequential_curve=curves["prequential"][phase].astype(np.float32),
         memory_error_curve=curves["memory"][phase].astype(np.float32),
         pair_error_curve=curves["pairs"][phase].astype(np.float32),

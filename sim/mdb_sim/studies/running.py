@@ -27,12 +27,12 @@ from mdb_protocol.errors import MdbError
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.inline import run_experiment
 from mdb_sim.runs.record import RunRecord, read_record
-from mdb_sim.studies import baselines
+from mdb_sim.studies.players import baselines, rewarded
 from mdb_sim.studies.results import Label, encode
-from mdb_sim.studies.rows import rows_of
+from mdb_sim.studies.rows import PhaseRow, rows_of
 
 BRAIN = "brain"
-"""The player that is the brain itself; all others are in `baselines.PLAYERS`."""
+"""The player that is the brain itself; others are in `baselines.PLAYERS`, those without a teacher in `rewarded`."""
 PACKAGES = ("mdb_protocol", "mdb_services", "mdb_sim")
 """What a run's result depends upon, ..."""
 PRESENTING = ("verdicts/", "figures/", "report/", "studies/tables.py")
@@ -97,12 +97,18 @@ def do(task: Task) -> bytes:
         )
     began_s = time.perf_counter()
     with _folder(task.keep) as run:
-        rows = rows_of(_played(task, run))
+        rows = _rows(task, run)
     return encode(replace(task.label, seconds=time.perf_counter() - began_s), rows)
 
 
-def _played(task: Task, run: Path) -> RunRecord:
+def _rows(task: Task, run: Path) -> list[PhaseRow]:
     experiment = Experiment(task.content, f"{task.label.study}, {task.label.variant}")
+    if task.player in rewarded.PLAYERS:
+        return rewarded.trained(experiment, task.player)
+    return rows_of(_played(task, experiment, run))
+
+
+def _played(task: Task, experiment: Experiment, run: Path) -> RunRecord:
     if task.player != BRAIN:
         return baselines.play(experiment, task.player, run)
     run_experiment(experiment, run)

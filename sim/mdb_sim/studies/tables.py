@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import msgspec
 
@@ -16,9 +15,9 @@ from mdb_services.experiment.brain import BrainConfig
 from mdb_services.mechanism.memories.stm import MemoryConfig
 from mdb_services.mechanism.settings import EvolutionConfig
 from mdb_sim.runs.experiment import Experiment
-from mdb_sim.studies.catalogue import ACCEPTANCE, PHASE, Study
+from mdb_sim.studies import machines
+from mdb_sim.studies.catalogue import ACCEPTANCE, PHASE, Study, Variant
 from mdb_sim.studies.ideal import KNOWN_BODIES
-from mdb_sim.studies.machines import MACHINES, settings_of
 
 AS_SHIPPED = "as shipped"
 PROMOTERS = "pbga"
@@ -34,20 +33,6 @@ KINEMATIC = "robot.body=kinematic"
 """Studies are run with the kinematic twin unless the command line says another body."""
 
 Overrides = tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Variant:
-    """An experiment file with something changed, or with another player than the brain."""
-
-    name: str
-    overrides: Overrides = ()
-    player: str = "brain"
-    """See `baselines.PLAYERS`."""
-    applies: bool = True
-    """Whether there is anything to change in this experiment."""
-    file: str | None = None
-    """The shipped experiment in whose place it is run; None: the one that is asked for."""
 
 
 Variants = Callable[[Experiment], list[Variant]]
@@ -368,12 +353,6 @@ def ablation(experiment: Experiment) -> list[Variant]:
     return [Variant(AS_SHIPPED), *(Variant(name, away, applies=bool(away)) for name, away in variants.items())]
 
 
-def machines(experiment: Experiment) -> list[Variant]:
-    """Each machine by its own file, taught and tried alone in turn."""
-    del experiment
-    return [Variant(machine.what, settings_of(machine), file=machine.file) for machine in MACHINES]
-
-
 VARIANTS: dict[str, Variants] = {
     "reproduction": reproduction,
     "paper": paper,
@@ -385,7 +364,8 @@ VARIANTS: dict[str, Variants] = {
     "ablation": ablation,
     "comings": comings,
     "readapt": readapt,
-    "machines": machines,
+    "machines": machines.taught,
+    "rivals": machines.rivals,
     "acceptance": as_shipped,
 }
 """What each study compares; the first variant is what the others are compared with."""
@@ -393,7 +373,7 @@ VARIANTS: dict[str, Variants] = {
 
 def overrides_of(study: Study, iterations: int = PHASE) -> Overrides:
     """Return what a study changes in every variant; iterations: of a phase, where it makes its own."""
-    body = () if study is ACCEPTANCE or study.name == "machines" else (KINEMATIC,)
+    body = () if study is ACCEPTANCE or study.name in machines.STUDIES else (KINEMATIC,)
     if not study.own_schedule:
         return body
     names = [chr(ord("A") + place) for place in range(LIFE)]

@@ -22,10 +22,12 @@ OF = {machine.what: machine for machine in MACHINES}
 
 @dataclass(frozen=True)
 class Curve:
-    """One run: the competence alone after so many iterations taught."""
+    """One run: the competence alone after so many iterations taught, or steps trained."""
 
     taught: tuple[int, ...]
     competence: tuple[float, ...]
+    judgements: tuple[float, ...]
+    """So many were given by then."""
 
     @property
     def last(self) -> float:
@@ -34,20 +36,35 @@ class Curve:
 
     def needed(self, target: float) -> float:
         """Return the iterations taught from which on it was competent each time; inf: it was not at the end."""
+        return self._at(self._kept(target), self.taught)
+
+    def judged(self, target: float) -> float:
+        """Return the judgements after which it was competent each time; inf: it was not at the end."""
+        return self._at(self._kept(target), self.judgements)
+
+    def first(self, target: float) -> float:
+        """Return the iterations taught after which it was competent for the first time; inf: it never was."""
+        good = [place for place, value in enumerate(self.competence) if value >= target]
+        return self._at(good[0] if good else len(self.taught), self.taught)
+
+    def _kept(self, target: float) -> int:
         short = [place for place, value in enumerate(self.competence) if not value >= target]
-        first = short[-1] + 1 if short else 0
-        return float(self.taught[first]) if first < len(self.taught) else math.inf
+        return short[-1] + 1 if short else 0
+
+    def _at(self, place: int, counts: Sequence[float]) -> float:
+        return float(counts[place]) if place < len(counts) else math.inf
 
 
 def curve(machine: Machine, rows: Sequence[PhaseRow]) -> Curve:
     """Return a run's curve."""
-    taught, points = 0, list[tuple[int, float]]()
+    taught, judged, points = 0, 0.0, list[tuple[int, float, float]]()
     for row in rows:
         if row.alone:
-            points.append((taught, _competence(machine, row)))
+            points.append((taught, _competence(machine, row), judged))
         else:
-            taught += row.stop - row.start
-    return Curve(tuple(at for at, _ in points), tuple(value for _, value in points))
+            taught, judged = taught + row.stop - row.start, judged + row.judgements
+    at, competence, judgements = zip(*points, strict=True)
+    return Curve(at, competence, judgements)
 
 
 def _competence(machine: Machine, row: PhaseRow) -> float:

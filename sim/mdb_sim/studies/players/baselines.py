@@ -1,8 +1,8 @@
 """What the brain is compared with: players without its mechanism, in the same world, with the same teachers.
 
-Owns the loop of a player and the plain players; the strong one is in `gaussian`. A run gives the record that a
-brain's run gives, so the same measures hold. A player sees what the brain sees: readings, notes, feedback; the
-plain ones that see the truth or know the language say so.
+Owns the loop of a player and the plain players; those that learn are in `gaussian` and `tamer`. A run gives the
+record that a brain's run gives, so the same measures hold. A player sees what the brain sees: readings, notes,
+feedback; the plain ones that see the truth or know the language say so.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from mdb_sim.body import Body, Numbers, Reading
 from mdb_sim.robot.course import Course
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.record import RunRecord, record_of
-from mdb_sim.studies.gaussian import GaussianPlayer
 from mdb_sim.studies.ideal import ideal_policy
+from mdb_sim.studies.players.gaussian import GaussianPlayer
+from mdb_sim.studies.players.tamer import TamerPlayer
 from mdb_sim.teaching.schedule import Schedule
 from mdb_sim.teaching.service import ScriptedTeacher
 
@@ -32,11 +33,11 @@ M = TypeVar("M")
 class Player(Protocol):
     """Whoever chooses actions in the place of the brain."""
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
-        """Return the choice for an iteration that begins with this reading, after this note."""
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> Numbers:
+        """Return the action for an iteration that begins with this reading, after this note."""
 
-    def did(self, iteration: int, reading: Reading, note: int | None, action: int) -> None:
-        """Take what was done in an iteration: while exploration is forced, another action than was chosen."""
+    def did(self, iteration: int, reading: Reading, note: int | None, action: Numbers) -> None:
+        """Take what was done in an iteration: while exploration is forced, another action than `act` returned."""
 
     def learn(self, iteration: int, feedback: float) -> None:
         """Take the feedback for the action of an iteration."""
@@ -45,7 +46,7 @@ class Player(Protocol):
 class _Plain:
     """A player that learns nothing."""
 
-    def did(self, iteration: int, reading: Reading, note: int | None, action: int) -> None:
+    def did(self, iteration: int, reading: Reading, note: int | None, action: Numbers) -> None:
         """See `Player`."""
 
     def learn(self, iteration: int, feedback: float) -> None:
@@ -58,12 +59,11 @@ class IdealPlayer(_Plain):
     def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
         del schedule
         self._policy = ideal_policy(experiment)
-        self._choices = [choice.values for choice in experiment.brain.choice]
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> Numbers:
         """See `Player`."""
         del iteration, reading, note
-        return self._choices.index(self._policy(truth))
+        return dict(self._policy(truth))
 
 
 class RandomPlayer(_Plain):
@@ -71,12 +71,13 @@ class RandomPlayer(_Plain):
 
     def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
         del schedule
-        self._seed, self._actions = experiment.brain.experiment.seed, len(experiment.brain.choice)
+        self._seed, self._space = experiment.brain.experiment.seed, experiment.brain.space()
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> Numbers:
         """See `Player`."""
         del reading, note, truth
-        return int(streams.generator(self._seed, "baseline/random", iteration).integers(self._actions))
+        rng = streams.generator(self._seed, "baseline/random", iteration)
+        return self._space.values(self._space.random(rng), 0)
 
 
 class ObedientPlayer(RandomPlayer):
@@ -88,12 +89,12 @@ class ObedientPlayer(RandomPlayer):
         choices = [choice.values for choice in experiment.brain.choice]
         policy = schedule.policy
         self._meant = [
-            max(range(len(choices)), key=lambda c, w=wanted: policy.expected(w, choices[c]) or 0.0)  # type: ignore[misc]
+            max(choices, key=lambda values, w=wanted: policy.expected(w, values) or 0.0)  # type: ignore[misc]
             for wanted in range(len(policy.commands))
         ]
-        """The choice for each command."""
+        """The action for each command."""
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> Numbers:
         """See `Player`."""
         language = self._schedule.at(iteration).language
         if note is None or language is None:
@@ -106,8 +107,11 @@ PLAYERS: dict[str, Callable[[Experiment, Schedule], Player]] = {
     "obedient": ObedientPlayer,
     "random": RandomPlayer,
     "gaussian": GaussianPlayer,
+    "tamer": TamerPlayer,
 }
 """The players by name."""
+OF_ANY_ACTION = ("random", "tamer")
+"""Those who need no list of choices."""
 
 
 def play(experiment: Experiment, name: str, run: Path) -> RunRecord:
@@ -116,8 +120,11 @@ def play(experiment: Experiment, name: str, run: Path) -> RunRecord:
         raise ConfigError(f"no player {name!r}; expected one of {', '.join(PLAYERS)}")
     if experiment.teacher is None:
         raise ConfigError("a baseline needs the scripted teacher; the experiment file has no [teacher] section")
-    if not experiment.brain.choice:
-        raise ConfigError("a baseline chooses among [[choice]] entries; the experiment file has none")
+    if not experiment.brain.choice and name not in OF_ANY_ACTION:
+        raise ConfigError(
+            f"player {name!r} chooses among [[choice]] entries; the experiment file has none; expected one of "
+            f"{', '.join(OF_ANY_ACTION)}"
+        )
     run.mkdir(parents=True, exist_ok=True)
     experiment.write(run / EXPERIMENT_FILE)
     schedule = experiment.schedule()
@@ -158,7 +165,8 @@ def _log(experiment: Experiment, schedule: Schedule, player: Player, body: Body)
     """Yield what a recorder would have written of a run: phases, scenes and reports."""
     seed, random_iterations = experiment.brain.experiment.seed, experiment.brain.optimizer.random_iterations
     teacher, anything = _Teacher(experiment, schedule), RandomPlayer(experiment, schedule)
-    course, choices = Course(body, experiment.robot.rules, seed), experiment.brain.choice
+    course = Course(body, experiment.robot.rules, seed)
+    choices = [choice.values for choice in experiment.brain.choice]
     note, _, phases = teacher.shown(course.last.scene())
     yield from (Recorded(keys.PHASE, "", phase, 0.0) for phase in phases)
     yield Recorded(keys.SCENE, "", course.last.scene(), 0.0)
@@ -166,9 +174,9 @@ def _log(experiment: Experiment, schedule: Schedule, player: Player, body: Body)
         before = course.last
         explored = iteration < random_iterations
         chooser = anything if explored else player
-        choice = chooser.act(iteration, before.reading, note, before.now)
-        player.did(iteration, before.reading, note, choice)
-        step = course.act(choices[choice].values)
+        action = chooser.act(iteration, before.reading, note, before.now)
+        player.did(iteration, before.reading, note, action)
+        step = course.act(action)
         next_note, feedback, phases = teacher.shown(step.scene())
         value = None
         for judged in feedback:
@@ -179,8 +187,8 @@ def _log(experiment: Experiment, schedule: Schedule, player: Player, body: Body)
         report = messages.IterationReport(
             iteration=iteration,
             mode="baseline",
-            action=choices[choice].values,
-            choice=choice,
+            action=action,
+            choice=choices.index(action) if choices else None,
             explored=explored,
             predicted=None,
             note=note,

@@ -127,27 +127,28 @@ class GaussianPlayer:
 
     def __init__(self, experiment: Experiment, schedule: Schedule) -> None:
         del schedule
-        turns_deg = [choice.values["turn"] for choice in experiment.brain.choice]
+        self._choices = [choice.values for choice in experiment.brain.choice]
+        turns_deg = [values["turn"] for values in self._choices]
         ranks = tuple(sorted(turns_deg).index(turn) for turn in turns_deg)
-        self._seed, self._actions = experiment.brain.experiment.seed, len(turns_deg)
+        self._seed = experiment.brain.experiment.seed
         self._window = experiment.brain.optimizer.feedback_window
         self._bandit, self._induced = Bandit(ranks), Induced(tuple(map(math.radians, turns_deg)))
         self._done: dict[int, tuple[Reading, int, int]] = {}
 
-    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> int:
+    def act(self, iteration: int, reading: Reading, note: int | None, truth: Numbers) -> Numbers:
         """Obey a note as well as is known, else do what would earn most here, else anything."""
         del truth
         if note is not None:
-            return self._bandit.act(note)
+            return self._choices[self._bandit.act(note)]
         action = self._induced.act(reading) if reading else None
         if action is None:
-            action = int(streams.generator(self._seed, "baseline/gaussian", iteration).integers(self._actions))
-        return action
+            action = int(streams.generator(self._seed, "baseline/gaussian", iteration).integers(len(self._choices)))
+        return self._choices[action]
 
-    def did(self, iteration: int, reading: Reading, note: int | None, action: int) -> None:
+    def did(self, iteration: int, reading: Reading, note: int | None, action: Numbers) -> None:
         """Remember what a late feedback may be about."""
         if note is not None:
-            self._done[iteration] = reading, note, action
+            self._done[iteration] = reading, note, self._choices.index(action)
         self._done.pop(iteration - self._window - 1, None)
 
     def learn(self, iteration: int, feedback: float) -> None:
