@@ -70,9 +70,11 @@ class Machine:
     taught: int
     """... after them so many taught in all, ..."""
     tried: int
-    """... with so many alone after each of `BLOCKS` parts, ..."""
+    """... with so many alone after each of its parts, ..."""
     last: int
     """... and so many at the end."""
+    parts: int = 5
+    """Where a robot alone comes to states that it was never judged in, a teacher has to come back more often."""
     language: str = "random"
     settings: tuple[str, ...] = ()
     """What else is not as in the file."""
@@ -84,7 +86,6 @@ class Machine:
 
 
 TWIN = ("robot.body=kinematic",)
-BLOCKS = 5
 MACHINES: tuple[Machine, ...] = (
     Machine(
         "paper",
@@ -117,7 +118,7 @@ MACHINES: tuple[Machine, ...] = (
     Machine("mountaincar", "MountainCar-v0", reward, RETURN, -130.0, 50, 1000, 500, 2000),
     Machine("mountaincar-continuous", "MountainCarContinuous-v0", reward, RETURN, 90.0, 50, 1000, 1000, 3000),
     Machine("acrobot", "Acrobot-v1", reward, RETURN, -110.0, 50, 1000, 500, 2000),
-    Machine("pendulum", "Pendulum-v1, a torque in a range", reward, RETURN, -250.0, 50, 2000, 600, 2000),
+    Machine("pendulum", "Pendulum-v1, a torque in a range", reward, RETURN, -250.0, 50, 2000, 400, 2000, parts=10),
     Machine("arm", "KUKA iiwa reaches a point", success, "points reached within 3 cm", 0.9, 200, 1300, 150, 400),
     Machine(
         "reacher",
@@ -126,9 +127,9 @@ MACHINES: tuple[Machine, ...] = (
         "episodes that end within 3 cm",
         0.8,
         200,
-        1000,
+        2000,
         150,
-        750,
+        1000,
         language="ordered",
     ),
     Machine("car", "racing car drives to a ball", None, "captures, share of the ideal", 0.8, 200, 300, 100, 400),
@@ -138,13 +139,12 @@ BY_FILE = {machine.file: machine for machine in MACHINES}
 
 def settings_of(machine: Machine) -> tuple[str, ...]:
     """Return the settings by which it is taught and tried alone in turn; nothing is forced when it is alone."""
-    part = machine.taught // BLOCKS
     at, entries = 0, []
-    for block in range(BLOCKS):
-        entries.append(f'{{start={at}, name="taught {block + 1}", teacher="one", language="{machine.language}"}}')
-        at += part + (machine.forced if block == 0 else 0)
-        entries.append(f'{{start={at}, name="{ALONE} {block + 1}"}}')
-        at += machine.last if block == BLOCKS - 1 else machine.tried
+    for part in range(machine.parts):
+        entries.append(f'{{start={at}, name="taught {part + 1}", teacher="one", language="{machine.language}"}}')
+        at += machine.taught // machine.parts + (machine.forced if part == 0 else 0)
+        entries.append(f'{{start={at}, name="{ALONE} {part + 1}"}}')
+        at += machine.last if part == machine.parts - 1 else machine.tried
     phases = f"teacher.phase=[{', '.join(entries)}]"
     return f"experiment.iterations={at}", f"optimizer.random_iterations={machine.forced}", phases, *machine.settings
 
