@@ -97,7 +97,7 @@ def worst(values: Sequence[float], seeds: Sequence[int], *, low_is_good: bool = 
 
 def number(value: float) -> str:
     """Return at most one decimal."""
-    return f"{value:.1f}".removesuffix(".0")
+    return f"{round(value, 1) + 0.0:.1f}".removesuffix(".0")  # never -0
 
 
 def percent(value: float) -> str:
