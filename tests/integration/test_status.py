@@ -58,7 +58,8 @@ def test_status_is_told_again_and_again_until_interrupted(tmp_path: Path) -> Non
         words = ["status", "--json", "--watch", "0.2", "--connect", (brain.run / "router.endpoint").read_text()]
         out = tmp_path / "status"
         with out.open("wb") as file:
-            watching = subprocess.Popen([sys.executable, "-m", "mdb_deploy.cli", *words], stdout=file)
+            heeds = ["env", "--default-signal=INT"]  # which who was started in the background does not
+            watching = subprocess.Popen([*heeds, sys.executable, "-m", "mdb_deploy.cli", *words], stdout=file)
         until(lambda: len(out.read_text().splitlines()) >= 4)
         os.kill(watching.pid, signal.SIGINT)
         assert watching.wait(10.0) == 130
