@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mdb_protocol import keys, messages
-from mdb_protocol.bus import Bus, Inbox
+from mdb_protocol.bus import Bus, Inbox, Publisher
 from mdb_protocol.errors import BusError, QueryError
 from mdb_protocol.keys import Key
 from mdb_protocol.memory_bus import Fabric, MemoryBus
@@ -146,16 +146,24 @@ def test_late_joiner_gets_the_last_of_a_kept_key(make_bus: MakeBus, row: Key) ->
     assert getattr(message, "version", 2) == 2
 
 
-def test_late_joiner_of_a_reliable_key_gets_what_comes_and_older_ones_only_before_it(make_bus: MakeBus) -> None:
+def put_pairs(publisher: Publisher, iterations: range) -> None:
+    for i in iterations:
+        publisher.put(messages.PairStored(iteration=i, versions={}))
+
+
+def joined_late(make_bus: MakeBus) -> tuple[Bus, Publisher, Bus, Inbox]:
+    """Return a writer who has said of three pairs, his publisher, and one who joins after that, with an inbox."""
     writer = make_bus()
     publisher = writer.publisher(keys.PAIR_STORED)
-    for i in range(3):
-        publisher.put(messages.PairStored(iteration=i, versions={}))
+    put_pairs(publisher, range(3))
     late = make_bus()
-    inbox = late.subscriber(keys.PAIR_STORED)
+    return writer, publisher, late, late.subscriber(keys.PAIR_STORED)
+
+
+def test_late_joiner_of_a_reliable_key_gets_what_comes_and_older_ones_only_before_it(make_bus: MakeBus) -> None:
+    writer, publisher, late, inbox = joined_late(make_bus)
     settle(late, writer)
-    for i in range(3, 6):
-        publisher.put(messages.PairStored(iteration=i, versions={}))
+    put_pairs(publisher, range(3, 6))
     got = iterations_until(late, inbox, 5)
     assert got == list(range(got[0], 6))
     assert got[0] <= 3
@@ -163,15 +171,9 @@ def test_late_joiner_of_a_reliable_key_gets_what_comes_and_older_ones_only_befor
 
 @pytest.mark.parametrize("make_bus", ["zenoh"], indirect=True)
 def test_a_heartbeat_gives_a_late_joiner_the_whole_cache_once_and_before_what_comes(make_bus: MakeBus) -> None:
-    writer = make_bus()
-    publisher = writer.publisher(keys.PAIR_STORED)
-    for i in range(3):
-        publisher.put(messages.PairStored(iteration=i, versions={}))
-    late = make_bus()
-    inbox = late.subscriber(keys.PAIR_STORED)
+    _, publisher, late, inbox = joined_late(make_bus)
     older = iterations_until(late, inbox, 2)
-    for i in range(3, 6):
-        publisher.put(messages.PairStored(iteration=i, versions={}))
+    put_pairs(publisher, range(3, 6))
     assert older + iterations_until(late, inbox, 5) == list(range(6))
 
 

@@ -176,7 +176,8 @@ def to_be_shown(episodes: Sequence[Episode], score: Score | None) -> list[tuple[
 
 STUDIES = ("machines", "rivals")
 """Their names in the catalogue. Each variant has a file and a body of its own."""
-BY_REWARD = {"Stable-Baselines3 (DQN or SAC)": "dqn-or-sac", "Stable-Baselines3 (PPO)": "ppo"}
+OFF_POLICY, PPO = "dqn-or-sac", "ppo"
+BY_REWARD = {"Stable-Baselines3 (DQN or SAC)": OFF_POLICY, "Stable-Baselines3 (PPO)": PPO}
 """Who learns by the environment's reward alone, with their names as players, see `running.BRAIN`."""
 PLAYERS = {"ours": "brain", "TAMER-like": "tamer", **BY_REWARD}
 """Beside them who learns by notes and feedback, and by feedback alone."""

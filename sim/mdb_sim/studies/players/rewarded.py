@@ -21,11 +21,10 @@ from mdb_protocol.errors import ConfigError, MdbError
 from mdb_services.mechanism.networks import streams
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.record import Episode
-from mdb_sim.studies.machines import BY_FILE, REWARD
+from mdb_sim.studies.machines import BY_FILE, BY_REWARD, OFF_POLICY, PPO, REWARD
 from mdb_sim.studies.rows import PhaseRow
 
-OFF_POLICY, PPO = "dqn-or-sac", "ppo"
-PLAYERS = (OFF_POLICY, PPO)
+PLAYERS = tuple(BY_REWARD.values())
 """The players' names in a study's variants."""
 TRAINER = "reward"
 """Stands in a row in the place of the teacher."""
