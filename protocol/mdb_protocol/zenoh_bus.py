@@ -43,7 +43,7 @@ LEASE_MS = 2000
 RETRY_MS = 50
 """A client that has lost its router tries again after this; the waits grow to four times as long."""
 TOKENS_S = 2.0
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+DEFAULT_ENDPOINT = endpoints.USUAL
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 
 
@@ -66,6 +66,7 @@ class ZenohBus(Bus):
         at `tls/...` or `quic/...` wants to see. When `give_up` gives true, the bound is over. `lossless` makes
         latest-value publishers wait instead of dropping (lockstep runs).
         """
+        endpoints.check(connect)
         super().__init__(brain)
         self._lossless = lossless
         self._connect = connect
@@ -326,8 +327,9 @@ def open_client(
             if time.monotonic() >= deadline or give_up():
                 said = reason or (QUIC_SAYS if connect.startswith("quic/") else _first_line(error))
                 raise BusError(
-                    f"no router answers at {connect} within {timeout_s:g} s ({said}). Start "
-                    f"one with 'mdb run router --listen {connect}', or give the right one with --connect"
+                    f"no router answers at {connect} within {timeout_s:g} s ({said}). 'mdb up' starts a brain with "
+                    "its router; of one that runs elsewhere say where, with --connect. A router alone, to which "
+                    f"several brains come: 'mdb run router --listen {connect}'"
                 ) from error
             time.sleep(0.05)
 
@@ -358,6 +360,7 @@ class Router:
         try:
             config = zenoh.Config.from_file(str(config_file))
             if listen:
+                endpoints.check(listen)
                 config.insert_json5("listen/endpoints", json.dumps([listen]))
             every: list[str] = json.loads(config.get_json("listen/endpoints"))
             self.listen = every[0]
