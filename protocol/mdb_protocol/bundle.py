@@ -220,7 +220,7 @@ def _of_client(reason: str, bundle: Bundle) -> str:
             f"ends on {bundle.until:%Y-%m-%d}: set the clock that is wrong, here or there"
         )
     if "EXPIRED" in reason:
-        return f"it refuses {bundle.path}: the certificate is not valid now; {_clock()}. If that is right {MAKE_NEW}"
+        return f"it refuses {bundle.path}: the certificate has expired; {_clock()}, and if that is right {MAKE_NEW}"
     if "UNKNOWN_CA" in reason or "DECRYPT_ERROR" in reason:
         return f"it refuses {bundle.path}: not signed by its authority ({words}); {MAKE_NEW}"
     if "ALERT" in reason:

@@ -20,8 +20,10 @@ PORT, PORTS = 7447, 65536
 USUAL = f"tcp/127.0.0.1:{PORT}"
 UNUSABLE = re.compile(r"[\s/\[\]@]")
 """What no host has."""
-HOST = re.compile(r"\d+(\.\d+){3}|[0-9a-fA-F]*:[0-9a-fA-F:.%]*:[^:]*|(?!\d+$)[^:]+")
+HOST = re.compile(r"\d+(\.\d+){3}|[0-9a-fA-F]*:[0-9a-fA-F:.%]*:[^:]*|(?!\d+$)[^:\\]+")
 """What a host that is guessed looks like: IPv4, IPv6, a name."""
+SEPARATOR = re.compile(r"^([a-zA-Z]+)(?:://|:|\\)(?!\d*$)")
+"""What others write between protocol and host."""
 ENCRYPTED = ("tls", "quic")
 WITHIN = ("unixsock-stream", "unixpipe")
 """Protocols that never leave the machine."""
@@ -96,7 +98,7 @@ def _parsed(text: str) -> Endpoint | None:
 
 def _meant(text: str) -> Endpoint | None:
     """Return the endpoint that somebody may have meant who wrote an URL, no protocol, or no port."""
-    protocol, separator, address = text.strip().replace("://", "/", 1).partition("/")
+    protocol, separator, address = SEPARATOR.sub(r"\1/", text.strip(), count=1).partition("/")
     if not separator:
         protocol, address = "tcp", protocol
     protocol = next(iter(difflib.get_close_matches(protocol.lower(), PROTOCOLS, 1)), "tcp")
