@@ -48,5 +48,6 @@ def _test(arguments: argparse.Namespace) -> int:
 def _compare(_: argparse.Namespace) -> int:
     from mdb_sim.studies.twins import compare_bodies
 
+    sys.stderr.write("both bodies do 300 actions side by side, then 1000 alone for each of two policies\n")
     sys.stdout.write(f"{compare_bodies().table()}\n")
     return 0
