@@ -50,7 +50,9 @@ def works(root: Path, *, script: Path | None = None, cwd: Path | None = None, **
     assert done.returncode == 0, done.stderr
     assert f"{root.resolve()}/.venv/bin/python" in done.stdout
     python = root / ".venv" / "bin" / "python"
-    told = subprocess.run([python, "-P", "-c", TOLD], capture_output=True, text=True, check=True, env={}).stdout
+    told = subprocess.run(
+        [python, "-P", "-c", TOLD], capture_output=True, text=True, check=True, env={"LC_ALL": "C.UTF-8"}
+    ).stdout
     package, prefix = told.split()
     assert Path(package).parents[2] == root.resolve(), "the code of this checkout"
     assert Path(prefix) == root.resolve() / ".venv"
