@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 PARTS = ("protocol", "services", "sim", "deploy", "README.md", "LICENSE", "pyproject.toml")
 LENT = sysconfig.get_path("purelib")
 BOUND_S = 180.0
-TOLD = "import mdb_deploy, sys; print(mdb_deploy.__file__, sys.prefix)"
+TOLD = "import mdb_deploy, sys; print(mdb_deploy.__file__); print(sys.prefix)"
 
 
 def checkout(at: Path) -> Path:
@@ -53,7 +53,7 @@ def works(root: Path, *, script: Path | None = None, cwd: Path | None = None, **
     told = subprocess.run(
         [python, "-P", "-c", TOLD], capture_output=True, text=True, check=True, env={"LC_ALL": "C.UTF-8"}
     ).stdout
-    package, prefix = told.split()
+    package, prefix = told.splitlines()
     assert Path(package).parents[2] == root.resolve(), "the code of this checkout"
     assert Path(prefix) == root.resolve() / ".venv"
     return done.stderr
