@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mdb_deploy.shipped import shipped
+from mdb_protocol.errors import ConfigError
 from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.reading import nearest
 
-EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+EXPERIMENTS = shipped("experiments")
+SUFFIX = ".toml"
 
 
 def default_experiment() -> str:
@@ -15,8 +19,21 @@ def default_experiment() -> str:
 
 
 def experiment_path(name: str) -> Path:
-    """Return the path of an experiment file, of the one in a folder, or of a shipped one by its name."""
-    shipped = EXPERIMENTS / f"{name}.toml"
-    if Path(name).is_dir():
-        return Path(name) / EXPERIMENT_FILE
-    return shipped if shipped.exists() and not Path(name).exists() else Path(name)
+    """Return the path of an experiment file, of the one in a folder, or of a shipped one: `paper`, or `paper.toml`.
+
+    What is there goes before what is shipped. ConfigError, with the nearest shipped one, when there is neither.
+    """
+    path = Path(name)
+    if path.is_dir():
+        return path / EXPERIMENT_FILE
+    if path.exists():
+        return path
+    known = {file.stem: file for file in EXPERIMENTS.glob(f"*{SUFFIX}")}
+    wanted = name.removesuffix(SUFFIX)
+    if wanted in known:
+        return known[wanted]
+    if path.name != name:  # a path: of a file, not of a shipped one
+        raise ConfigError(f"cannot read the experiment file {name}: there is no such file")
+    raise ConfigError(
+        f"cannot read the experiment file {name}: there is none here, nor a shipped one{nearest(wanted, known)}"
+    )

@@ -7,6 +7,7 @@ keys: `mdb keys` does. What the plain lines say only serves early, clear errors;
 from __future__ import annotations
 
 import base64
+import codecs
 import re
 import socket
 import ssl
@@ -22,6 +23,8 @@ from mdb_protocol.roles import Role, User
 
 BLOCK = re.compile(rb"-----BEGIN ([A-Z ]+)-----\n.*?-----END \1-----\n?", re.DOTALL)
 SAYS = re.compile(r"^(\w+): (.+)$", re.MULTILINE)
+NOT_YET_VALID, EXPIRED = 9, 10
+"""OpenSSL's X509_V_ERR_CERT_NOT_YET_VALID and X509_V_ERR_CERT_HAS_EXPIRED."""
 PROBE_S = 1.0
 """Bound on each step of asking a router why."""
 MAKE_NEW = "ask for a new one: 'mdb keys remove NAME', then 'mdb keys add-teacher NAME' or 'add-viewer NAME'"
@@ -42,7 +45,7 @@ class Bundle:
     def read(cls, path: Path) -> Bundle:
         """Read a bundle file; BusError when it is not one."""
         try:
-            content = path.read_bytes()
+            content = path.read_bytes().removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n")  # through other systems
         except OSError as error:
             raise BusError(f"cannot read the keys {path}: {error.strerror}; 'mdb keys init' makes some") from error
         blocks = [(found.group(1), found.group(0)) for found in BLOCK.finditer(content)]
@@ -63,7 +66,10 @@ class Bundle:
         if bundle.user is not None:
             bundle.user.check_brain(brain)
         if bundle.until is not None and bundle.until < datetime.now(UTC):
-            raise BusError(f"the certificate in {bundle.path} ended on {bundle.until:%Y-%m-%d}; {MAKE_NEW}")
+            raise BusError(
+                f"the certificate in {bundle.path} ended on {bundle.until:%Y-%m-%d}; {_clock()}, and if that is "
+                f"right {MAKE_NEW}"
+            )
         return bundle
 
     @classmethod
@@ -177,12 +183,21 @@ def _of_router(error: ssl.SSLCertVerificationError, endpoint: Endpoint, bundle: 
             f"the router's certificate is not for {endpoint.host} but for {names}: connect by one of these names, or "
             f"make it a new one there: 'mdb keys renew --host {endpoint.host}'"
         )
-    if "expired" in error.verify_message:
-        return "the router's certificate has expired: 'mdb keys renew' there makes a new one"
+    if error.verify_code == NOT_YET_VALID:
+        return f"the router's certificate is not valid yet: {_clock()}; set the clock that is wrong, here or there"
+    if error.verify_code == EXPIRED:
+        return (
+            f"the router's certificate has expired: {_clock()}, and if that is right 'mdb keys renew' there makes a "
+            "new one"
+        )
     return (
         f"its certificate is not from the authority in {bundle.path} ({error.verify_message}): it is another router, "
         "or its keys were made anew"
     )
+
+
+def _clock() -> str:
+    return f"this machine's clock says {datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def _names(endpoint: Endpoint, bundle: Bundle) -> str:
@@ -199,8 +214,13 @@ def _names(endpoint: Endpoint, bundle: Bundle) -> str:
 def _of_client(reason: str, bundle: Bundle) -> str:
     """Say what the router found wrong with the client's certificate."""
     words = reason.lower().replace("_", " ")
+    if "EXPIRED" in reason and bundle.until is not None:  # `find` has looked: by our clock it has not ended
+        return (
+            f"it refuses {bundle.path}: by the router's clock the certificate is not valid now; {_clock()}, and it "
+            f"ends on {bundle.until:%Y-%m-%d}: set the clock that is wrong, here or there"
+        )
     if "EXPIRED" in reason:
-        return f"it refuses {bundle.path}: the certificate has expired; {MAKE_NEW}"
+        return f"it refuses {bundle.path}: the certificate has expired; {_clock()}, and if that is right {MAKE_NEW}"
     if "UNKNOWN_CA" in reason or "DECRYPT_ERROR" in reason:
         return f"it refuses {bundle.path}: not signed by its authority ({words}); {MAKE_NEW}"
     if "ALERT" in reason:

@@ -5,12 +5,25 @@ Owns the rule that a router is open to this machine only, unless it has keys or 
 
 from __future__ import annotations
 
+import difflib
 import ipaddress
+import re
 import socket
 from typing import NamedTuple
 
 from mdb_protocol.errors import BusError
 
+PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
+"""Those of an address with a port."""
+PORT, PORTS = 7447, 65536
+"""The usual port; how many there are."""
+USUAL = f"tcp/127.0.0.1:{PORT}"
+UNUSABLE = re.compile(r"[\s/\[\]@]")
+"""What no host has."""
+HOST = re.compile(r"\d+(\.\d+){3}|[0-9a-fA-F]*:[0-9a-fA-F:.%]*:[^:]*|(?!\d+$)[^:\\]+")
+"""What a host that is guessed looks like: IPv4, IPv6, a name."""
+SEPARATOR = re.compile(r"^([a-zA-Z]+)(?:://|:|\\)(?!\d*$)")
+"""What others write between protocol and host."""
 ENCRYPTED = ("tls", "quic")
 WITHIN = ("unixsock-stream", "unixpipe")
 """Protocols that never leave the machine."""
@@ -56,14 +69,45 @@ def _resolve(host: str) -> list[ipaddress.IPv4Address | ipaddress.IPv6Address]:
 
 
 def parse(text: str) -> Endpoint:
-    """Take an endpoint apart; BusError when it is not `protocol/host:port`."""
-    protocol, slash, rest = text.partition("/")
+    """Take an endpoint apart; BusError when it is not `protocol/host:port`, with what may have been meant."""
+    found = _parsed(text)
+    if found is None:
+        meant = _meant(text)
+        guess = f"; did you mean {meant}?" if meant else ""
+        raise BusError(f"{text!r} is not an endpoint; expected PROTOCOL/HOST:PORT, as in {USUAL}{guess}")
+    return found
+
+
+def check(text: str) -> None:
+    """Raise BusError when a text is no endpoint, so that nothing waits for what cannot be there."""
+    if text.partition("/")[0] not in WITHIN or not text.partition("/")[2]:
+        parse(text)
+
+
+def _parsed(text: str) -> Endpoint | None:
+    protocol, _, rest = text.partition("/")
     address = rest.partition("?")[0].partition("#")[0]
-    host, colon, port = address.rpartition(":")
+    host, _, port = address.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]")
-    if not (slash and colon and bare and port.isdigit()):
-        raise BusError(f"{text!r} is not an endpoint; expected PROTOCOL/HOST:PORT, as in tcp/127.0.0.1:7447")
-    return Endpoint(protocol, bare, int(port))
+    bracketed = host == f"[{bare}]" or ":" not in bare
+    if protocol not in PROTOCOLS or not bare or not bracketed or UNUSABLE.search(bare):
+        return None
+    number = int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else PORTS
+    return Endpoint(protocol, bare, number) if number < PORTS else None
+
+
+def _meant(text: str) -> Endpoint | None:
+    """Return the endpoint that somebody may have meant who wrote an URL, no protocol, or no port."""
+    protocol, separator, address = SEPARATOR.sub(r"\1/", text.strip(), count=1).partition("/")
+    if not separator:
+        protocol, address = "tcp", protocol
+    protocol = next(iter(difflib.get_close_matches(protocol.lower(), PROTOCOLS, 1)), "tcp")
+    address = address.rstrip("/")
+    for whole in (address, f"{address}:{PORT}", f"[{address}]:{PORT}", f"127.0.0.1:{address.removeprefix(':')}"):
+        found = _parsed(f"{protocol}/{whole}")
+        if found is not None and HOST.fullmatch(found.host):
+            return found
+    return None
 
 
 def with_port_of(listen: str, found: str) -> str:

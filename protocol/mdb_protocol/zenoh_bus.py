@@ -42,8 +42,7 @@ LEASE_MS = 2000
 """A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
 RETRY_MS = 50
 """A client that has lost its router tries again after this; the waits grow to four times as long."""
-TOKENS_S = 2.0
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+TOKENS_S, DEFAULT_ENDPOINT = 2.0, endpoints.USUAL
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 
 
@@ -66,6 +65,7 @@ class ZenohBus(Bus):
         at `tls/...` or `quic/...` wants to see. When `give_up` gives true, the bound is over. `lossless` makes
         latest-value publishers wait instead of dropping (lockstep runs).
         """
+        endpoints.check(connect)
         super().__init__(brain)
         self._lossless = lossless
         self._connect = connect
@@ -326,8 +326,8 @@ def open_client(
             if time.monotonic() >= deadline or give_up():
                 said = reason or (QUIC_SAYS if connect.startswith("quic/") else _first_line(error))
                 raise BusError(
-                    f"no router answers at {connect} within {timeout_s:g} s ({said}). Start "
-                    f"one with 'mdb run router --listen {connect}', or give the right one with --connect"
+                    f"no router answers at {connect} within {timeout_s:g} s ({said}). 'mdb up' starts a brain with "
+                    f"its router, 'mdb run router --listen {connect}' one for several; --connect says where one runs"
                 ) from error
             time.sleep(0.05)
 
@@ -355,13 +355,13 @@ class Router:
         Raises `BusError` when the file is not a config, the endpoint cannot be had, or it can be reached from beyond
         this machine and there are neither keys nor the plain word that it is `open_to_everyone`.
         """
+        endpoints.check(listen or endpoints.USUAL)
         try:
             config = zenoh.Config.from_file(str(config_file))
             if listen:
                 config.insert_json5("listen/endpoints", json.dumps([listen]))
-            every: list[str] = json.loads(config.get_json("listen/endpoints"))
-            self.listen = every[0]
-            for endpoint in every:
+            self.listen, *more = json.loads(config.get_json("listen/endpoints"))
+            for endpoint in (self.listen, *more):
                 endpoints.check_listen(endpoint, has_keys=keys is not None, open_to_everyone=open_to_everyone)
             if keys is not None:
                 config.insert_json5("transport/link/tls", json.dumps(keys.bundle.router_tls()))

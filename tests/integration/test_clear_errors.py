@@ -49,7 +49,7 @@ def test_failing_process_is_named_with_its_last_lines(tmp_path: Path) -> None:
         "--set", "robot.body=unusable_robot:Robot",
     )  # fmt: skip
     assert result.returncode == 2
-    assert re.search(r"robot ended with status [12]", result.stderr)
+    assert re.search(r"robot ended with status \d+", result.stderr)
     assert "the serial line is gone" in result.stderr
 
 

@@ -270,7 +270,7 @@ def test_files_that_cannot_be_read_are_config_errors(tmp_path: Path) -> None:
         read_file(tmp_path)
     broken = tmp_path / "broken.toml"
     broken.write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigError, match="not valid TOML"):
+    with pytest.raises(ConfigError, match="not text in UTF-8"):
         read_file(broken)
 
 

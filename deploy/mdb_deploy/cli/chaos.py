@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
     chaos.add_argument("--pause", type=float, default=1.0, metavar="SECONDS", help="to the next kill, at most (1)")
     chaos.add_argument("--soak", type=float, metavar="MINUTES", help="watch memory, threads and files instead")
     chaos.add_argument("--out", type=Path, default=Path("runs/chaos"), help="where run and report go (runs/chaos)")
-    chaos.set_defaults(command=_chaos)
+    chaos.set_defaults(command=_chaos, goes_on=True)
 
 
 def _chaos(arguments: argparse.Namespace) -> int:

@@ -10,6 +10,8 @@ from pathlib import Path
 from mdb_deploy.cli.options import Commands
 from mdb_protocol.errors import MdbError
 
+PLUGINS = ("pytest_timeout", "xdist.plugin", "_hypothesis_pytestplugin")
+"""What the tests use of pytest's plugins, as `pip` installs them."""
 SIDE_BY_SIDE = ("-n", "2", "--dist", "worksteal")
 """How the default suite is run: many of its tests wait for processes, so two workers take half the time."""
 
@@ -30,9 +32,15 @@ def _test(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise MdbError("the tests need pytest: pip install -e '.[test]', or use ./deploy/compose test") from error
     root = Path(__file__).parents[3]
+    if not (root / "tests").is_dir():
+        raise MdbError("the tests are in a checkout of the project; this is an installed package")
     os.chdir(root)
     results = root / "runs" / "tests.xml"
-    status = int(pytest.main([f"--junit-xml={results}", *(arguments.words or SIDE_BY_SIDE)]))
+    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # those of others on PYTHONPATH, as ROS has them
+    for inherited in ("PYTEST_ADDOPTS", "PYTEST_PLUGINS"):
+        os.environ.pop(inherited, None)
+    own = [word for name in PLUGINS for word in ("-p", name)]
+    status = int(pytest.main([*own, f"--junit-xml={results}", *(arguments.words or SIDE_BY_SIDE)]))
     sys.stdout.write(f"results: {results}\n")
     return status
 
@@ -40,5 +48,6 @@ def _test(arguments: argparse.Namespace) -> int:
 def _compare(_: argparse.Namespace) -> int:
     from mdb_sim.studies.twins import compare_bodies
 
+    sys.stderr.write("both bodies do 300 actions side by side, then 1000 alone for each of two policies\n")
     sys.stdout.write(f"{compare_bodies().table()}\n")
     return 0

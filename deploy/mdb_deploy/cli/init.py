@@ -8,6 +8,7 @@ from pathlib import Path
 from shlex import quote
 
 from mdb_deploy.cli.options import Commands
+from mdb_deploy.shipped import shipped
 
 LIKE = (
     "gymnasium:ENV, any Gymnasium environment (gymnasium:CartPole-v1; gymnasium:PACKAGE:ENV for one that a package "
@@ -28,7 +29,7 @@ def add(commands: Commands) -> None:
         "init",
         help="write an experiment of your own: file, teacher, body",
         description="Writes an experiment file that runs, a teacher of about 20 lines, and where needed a body. "
-        "Comments say what each line does. The tutorial: deploy/examples/ENVIRONMENT.md.",
+        f"Comments say what each line does. The tutorial: {shipped('examples/ENVIRONMENT.md')}",
         allow_abbrev=False,
     )
     init.add_argument("folder", type=Path, metavar="FOLDER", help="where; made if it is not there")

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import platform
 import sys
-from contextlib import suppress
-from typing import TextIO, cast
 
 import structlog
 
@@ -25,7 +24,8 @@ from mdb_deploy.cli import (
     teach,
     up,
 )
-from mdb_protocol.errors import MdbError
+from mdb_deploy.cli.failing import let_go, told, unbreakable
+from mdb_deploy.cli.parsing import Parser, own_version
 
 EPILOG = """\
 first steps:
@@ -42,70 +42,49 @@ ORDER = (up, init, teach, change, status, plot, study, ltm, past, keys, check_ro
 """The commands, as `mdb --help` lists them."""
 
 
-class Unbreakable:
-    """A stream that loses what cannot be written: no service is to fail because its log is on a full disk."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        """Write, if that is possible."""
-        with suppress(OSError, ValueError):
-            self._stream.write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        """Flush, if that is possible."""
-        with suppress(OSError, ValueError):
-            self._stream.flush()
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    parser = _parser()
-    arguments, words = parser.parse_known_args(argv)
-    if words and not getattr(arguments, "takes_words", False):
-        parser.error(f"unrecognized arguments: {' '.join(words)}")
-    arguments.words = words
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger("info"),
-        logger_factory=structlog.PrintLoggerFactory(cast(TextIO, Unbreakable(sys.stderr))),
+        logger_factory=structlog.PrintLoggerFactory(unbreakable(sys.stderr)),
         processors=[
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="%H:%M:%S.%f", utc=False),
             structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
         ],
     )
+    arguments, stdout = argparse.Namespace(), sys.stdout
     try:
+        arguments = _arguments(argv)
+        if getattr(arguments, "goes_on", False):
+            sys.stdout = unbreakable(stdout)
         status: int = arguments.command(arguments)
-    except MdbError as error:
-        sys.stderr.write(f"mdb: {error}\n")
-        return 2
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.startswith("mdb_"):
-            raise
-        extra = getattr(arguments, "extra", "brain")
-        wanted = f"pip install 'multilevel-darwinist-brain[{extra}]'"
-        sys.stderr.write(f"mdb: this needs {error.name}, which is not installed: {wanted}\n")
-        return 2
-    except OSError as error:
-        if error.filename is None:
-            raise
-        sys.stderr.write(f"mdb: {error.filename}: {error.strerror}; give a path that can be read and written\n")
-        return 2
-    except KeyboardInterrupt:
-        return 130
+        sys.stdout.flush()
+    except (Exception, KeyboardInterrupt) as error:
+        return told(error, getattr(arguments, "extra", "brain"))
+    finally:
+        sys.stdout = stdout
+        let_go(stdout)
     return status
 
 
+def _arguments(argv: list[str] | None) -> argparse.Namespace:
+    arguments, words = _parser().parse_known_args(argv)
+    if words and not getattr(arguments, "takes_words", False):
+        arguments.parser.refuse(words)
+    arguments.words = words
+    return arguments
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="mdb",
         description="A robot learns from a teacher: the Multilevel Darwinist Brain over Eclipse Zenoh.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
+    python = f"Python {platform.python_version()}, {sys.executable}"
+    parser.add_argument("--version", action="version", version=f"mdb {own_version()} ({python})")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in ORDER:
         command.add(commands)

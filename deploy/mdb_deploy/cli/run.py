@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import time
 from pathlib import Path
 
 from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, add_keys, content_of
@@ -58,11 +60,15 @@ def _prepare(arguments: argparse.Namespace) -> int:
     experiment.check_machine()
     arguments.run.mkdir(parents=True, exist_ok=True)
     experiment.write(arguments.run / EXPERIMENT_FILE)
+    sys.stdout.write(f"{arguments.run / EXPERIMENT_FILE}\n")
     return 0
 
 
 def _warm_up(_: argparse.Namespace) -> int:
     from mdb_services.evolver import compile_kernels
 
+    sys.stderr.write("compiling the evolvers' kernels once (about half a minute)\n")
+    began_s = time.monotonic()
     compile_kernels()
+    sys.stderr.write(f"compiled in {time.monotonic() - began_s:.0f} s\n")
     return 0

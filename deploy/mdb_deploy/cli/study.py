@@ -29,14 +29,14 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `acceptance` and `study` to the command line."""
     acceptance = commands.add_parser("acceptance", help=ACCEPTANCE.what, allow_abbrev=False)
     _add_sweep(acceptance, ACCEPTANCE.seeds, Path("runs/acceptance"))
-    acceptance.set_defaults(command=_accept)
+    acceptance.set_defaults(command=_accept, goes_on=True)
     study = commands.add_parser("study", help="comparisons over many seeds, and their report", allow_abbrev=False)
     studies = study.add_subparsers(required=True, metavar="STUDY")
     for which in STUDIES.values():
         _add_study(studies, which)
     every = _parser(studies, "all", f"all studies of the report: {', '.join(which.name for which in REPORTED)}")
     _add_sweep(every, None, OUT)
-    every.set_defaults(command=_every)
+    every.set_defaults(command=_every, goes_on=True)
     report = _parser(studies, "report", "the report with its figures, from results alone")
     report.add_argument("--results", type=Path, default=OUT, help=f"folder of the results ({OUT})")
     report.add_argument("--out", type=Path, default=REPORT, help=f"the report; figures go into gallery/ ({REPORT})")
@@ -49,7 +49,7 @@ def _add_study(studies: argparse._SubParsersAction[argparse.ArgumentParser], whi
     parser.add_argument("--only", default="", metavar="NAMES", help="some variants, as in fifo-only,scalar-note")
     if which.own_schedule:
         parser.add_argument("--phase", type=int, default=PHASE, help=f"iterations of each phase ({PHASE})")
-    parser.set_defaults(command=_study, study=which)
+    parser.set_defaults(command=_study, study=which, goes_on=True)
 
 
 def _parser(

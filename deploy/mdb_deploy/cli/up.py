@@ -34,9 +34,9 @@ def add(commands: Commands) -> None:
         "--no-teacher", action="store_true", help="no scripted teacher: begin when you have come, 'mdb teach'"
     )
     up.add_argument(
-        "--no-robot", action="store_true", help="no robot of ours: begin when one has come (protocol/README.md)"
+        "--no-robot", action="store_true", help="no robot of ours: begin when one has come (mdb keys duties)"
     )
-    up.set_defaults(command=_up)
+    up.set_defaults(command=_up, goes_on=True)
 
 
 def _check_words(arguments: argparse.Namespace) -> None:

@@ -76,7 +76,7 @@ def text(users: Mapping[str, User]) -> str:
 def read(path: Path) -> dict[str, Any]:
     """Return the `access_control` section of a file; ConfigError when it cannot be used."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
         section = json.loads("\n".join(line for line in lines if not line.lstrip().startswith("//")))[
             "access_control"
         ]

@@ -14,10 +14,11 @@ from typing import Any
 
 import yaml
 
+from mdb_deploy.shipped import shipped
 from mdb_protocol.errors import ConfigError
 from mdb_sim.runs.experiment import Experiment
 
-COMPOSE_FILE = Path(__file__).parents[2] / "compose.yaml"
+COMPOSE_FILE = shipped("compose.yaml")
 VARIABLE = re.compile(r"\$\{(\w+)(?::-([^}]*))?\}")
 ROUTER = "router"
 TEACHER = "teacher"

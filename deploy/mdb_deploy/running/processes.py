@@ -14,6 +14,7 @@ from pathlib import Path
 import structlog
 
 from mdb_deploy.keys.access import ACCESS_FILE
+from mdb_deploy.shipped import shipped
 from mdb_protocol import endpoints
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, ConfigError, DamageError
@@ -26,7 +27,7 @@ from mdb_sim.runs.experiment import Experiment
 
 log = structlog.get_logger()
 
-ROUTER_CONFIG = Path(__file__).parents[2] / "router.json5"
+ROUTER_CONFIG = shipped("router.json5")
 ENDPOINT_FILE = "router.endpoint"
 EVOLVER_NICE = 5
 """Learning gives way to acting when both want the same core."""

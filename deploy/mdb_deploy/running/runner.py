@@ -130,7 +130,7 @@ class Runner:
     async def _spawn(self, child: Child) -> None:
         argv = child.spec.argv(self._variables)
         if argv[0] == "mdb":
-            argv = [sys.executable, "-m", "mdb_deploy.cli", *argv[1:], f"--with-parent={os.getpid()}"]
+            argv = [sys.executable, "-P", "-m", "mdb_deploy.cli", *argv[1:], f"--with-parent={os.getpid()}"]
         output: IO[bytes] = child.log_path.open("ab")
         child.process = await asyncio.create_subprocess_exec(
             *argv,

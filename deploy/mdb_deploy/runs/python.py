@@ -171,7 +171,7 @@ def _in_processes(experiment: Experiment, path: Path) -> None:
     experiment.write(path / EXPERIMENT_FILE)
     words = ("up", "--resume", str(path), "--no-plot", "--listen", "tcp/127.0.0.1:0")
     done = subprocess.run(
-        [sys.executable, "-m", "mdb_deploy.cli", *words], capture_output=True, text=True, check=False
+        [sys.executable, "-P", "-m", "mdb_deploy.cli", *words], capture_output=True, text=True, check=False
     )
     if done.returncode:
         raise MdbError(f"mdb {' '.join(words)} ended with {done.returncode}: {done.stderr.strip() or done.stdout}")

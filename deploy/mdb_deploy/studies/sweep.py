@@ -70,7 +70,7 @@ def seeds_of(text: str) -> list[int]:
     seeds: list[int] = []
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()):
+        if not first.isdecimal() or (dash and not last.isdecimal()) or int(first) > int(last or first):
             raise ConfigError(f"--seeds {text!r}: expected numbers and ranges, as in 1-5 or 1,4,9")
         seeds += range(int(first), int(last or first) + 1)
     return seeds

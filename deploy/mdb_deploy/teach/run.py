@@ -13,6 +13,7 @@ from typing import Any
 
 import structlog
 
+from mdb_deploy.shipped import shipped
 from mdb_deploy.teach.keyboard import NOTE_KEYS
 from mdb_deploy.teach.microphone import Microphone
 from mdb_deploy.teach.screen.app import TeachApp
@@ -31,6 +32,7 @@ from mdb_sim.teaching.sound import Player, SoundSection
 
 BRAIN, NAME = "pioneer", "teacher"
 ENDED_BY_SIGNAL = 130
+SCRIPT = shipped("examples/teacher.py")
 LOG_KEPT = 20
 """Lines of the log that are written once the screen is given back."""
 
@@ -55,6 +57,8 @@ class TeachOptions:
 
 def teach(options: TeachOptions) -> int:
     """Teach until the person leaves; return the exit status. MdbError when that cannot be, or failed."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise MdbError(f"'mdb teach' needs a terminal, to be read from and drawn on; {SCRIPT} teaches without one")
     source = options.experiment
     content = read_file(source) if source is not None else {}
     policy = policy_of(content, source)

@@ -99,7 +99,7 @@ class BrainUnderTest:
         before = set(out.iterdir())
         words = ["up", str(out / EXPERIMENT_FILE), "--runs", str(out), "--listen", "tcp/127.0.0.1:0", "--no-plot"]
         with self._said.open("wb") as said:
-            command = [sys.executable, "-m", "mdb_deploy.cli", *words]
+            command = [sys.executable, "-P", "-m", "mdb_deploy.cli", *words]
             self.process = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT, env=_environment())
         try:
             self.run = self._find(before)
@@ -131,7 +131,7 @@ class BrainUnderTest:
             str(self.witness_file),
             f"--with-parent={os.getpid()}",
         ]
-        self._witness = subprocess.Popen([sys.executable, "-m", "mdb_deploy.trials.witness", *options])
+        self._witness = subprocess.Popen([sys.executable, "-P", "-m", "mdb_deploy.trials.witness", *options])
         self.bus = ZenohBus(self.brain, endpoint)
         self.bus.alive()
         self._reports = self.bus.subscriber(keys.ITERATION)

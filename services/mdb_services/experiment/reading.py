@@ -6,16 +6,20 @@ Owns the words in which a mistake is told. Knows no section.
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+from msgspec import inspect
 
 from mdb_protocol.errors import ConfigError
 
 T = TypeVar("T")
+UNLISTED = re.compile(r"Invalid enum value '(.*)' - at `\$(.*)`", re.DOTALL)
+"""What msgspec says of a word that is none of a list: the word, and where."""
 
 
 def read_file(path: Path, overrides: Iterable[str] = ()) -> dict[str, Any]:
@@ -25,10 +29,12 @@ def read_file(path: Path, overrides: Iterable[str] = ()) -> dict[str, Any]:
     Raises ConfigError when the file cannot be read or an override cannot be applied.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"cannot read the experiment file {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path} is not text in UTF-8 ({error}); save it as UTF-8") from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
     for override in overrides:
         _override(content, override)
@@ -40,7 +46,7 @@ def convert(section: Mapping[str, Any], cls: type[T], source: object) -> T:
     try:
         return msgspec.convert(section, cls, strict=True)
     except (msgspec.ValidationError, ValueError) as error:
-        raise ConfigError(f"{source}: {error}") from error
+        raise ConfigError(f"{source}: {error}{_choices(cls, str(error))}") from error
 
 
 def make(cls: type[T], fields: Mapping[str, Any], what: str) -> T:
@@ -83,6 +89,35 @@ def _by_name(entries: list[Any], name: str, override: str) -> Any:
             return entry
     names = [str(entry.get("name")) for entry in entries]
     raise ConfigError(f"--set {override!r}: no entry named {name!r}; there are {', '.join(names)}")
+
+
+def _choices(cls: type[Any], said: str) -> str:
+    """Return what to add to msgspec's word that a value is none of those listed: the nearest, or the list."""
+    found = UNLISTED.fullmatch(said)
+    if found is None:
+        return ""
+    kinds = [inspect.type_info(cls)]
+    for name in re.findall(r"\w+|\[", found[2]):
+        kinds = [inner for kind in kinds for inner in _within(kind, name)]
+    values = [value for kind in kinds for part in _parts(kind) for value in getattr(part, "values", ())]
+    return nearest(found[1], map(str, values)) if values else ""
+
+
+def _parts(kind: inspect.Type) -> tuple[inspect.Type, ...]:
+    return kind.types if isinstance(kind, inspect.UnionType) else (kind,)
+
+
+def _within(kind: inspect.Type, name: str) -> list[inspect.Type]:
+    """Return of what kinds a field is, or an element (`name` is then a bracket)."""
+    found: list[inspect.Type] = []
+    for part in _parts(kind):
+        if isinstance(part, inspect.StructType):
+            found += [field.type for field in part.fields if field.encode_name == name]
+        elif isinstance(part, inspect.DictType):
+            found.append(part.value_type)
+        elif isinstance(part, inspect.VarTupleType | inspect.ListType) and name == "[":
+            found.append(part.item_type)
+    return found
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -100,14 +100,17 @@ def save(
     kinds: Sequence[str] = ("png", "svg"),
     dpi: int = DPI,
 ) -> list[Path]:
-    """Make, fill and write one figure in these kinds; nothing of matplotlib's global state is touched."""
-    from matplotlib import rc_context
+    """Make, fill and write one figure in these kinds; nothing of matplotlib's global state is touched.
+
+    Nor is it read: a user's `matplotlibrc` may want LaTeX, or another size.
+    """
+    from matplotlib import style
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in kinds]
-    with rc_context(STYLE):
+    with style.context(["default", STYLE]):
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         fill(figure)

@@ -4,15 +4,31 @@ What the compiler keeps on disk of a function does not know this file: whoever c
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeVar, cast
 
 from numba import njit
+from numba.core.caching import FunctionCache
 from numba.extending import intrinsic
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # Sums may be reordered into vectors and fused; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
+
+
+class _OptionalCache(FunctionCache):
+    """What is kept on disk; when that cannot be read or written, a function is compiled as if nothing were kept."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except Exception:
+            return None  # damaged, as by a full disk: what is unpickled may raise anything
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with suppress(Exception):  # the same: it reads the index first
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
 
 def compiled(function: _Function) -> _Function:
@@ -24,7 +40,10 @@ def compiled(function: _Function) -> _Function:
     The disk keeps code under a function's own file and the types of its arguments only. So what calls functions of
     `kernel` from another file takes its `VERSION` as the default of an argument: the value is part of the type.
     """
-    return cast(_Function, njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")(function))
+    dispatcher: Any = njit(nogil=True, fastmath=_FAST, error_model="numpy")(function)
+    with suppress(RuntimeError):  # no folder of the compiler's can be written: it compiles in each process
+        dispatcher._cache = _OptionalCache(function)  # type: ignore[no-untyped-call] # as by cache=True
+    return cast(_Function, dispatcher)
 
 
 def emitted(generator: Callable[..., Any]) -> Any:

@@ -1,0 +1,50 @@
+"""How `mdb` reads its words: a parser that says a mistake in one line, with the nearest word that there is."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import re
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, NoReturn
+
+DISTRIBUTION = "multilevel-darwinist-brain"
+MISTYPED = re.compile(r"invalid choice: '([^']*)'")
+LISTED = re.compile(r" \(choose from .*\)$", re.DOTALL)
+
+
+class Parser(argparse.ArgumentParser):
+    """An argparse parser with suggestions, which argparse itself has from Python 3.14 on."""
+
+    def __init__(self, *words: Any, **settings: Any) -> None:
+        super().__init__(*words, **settings | {"allow_abbrev": False})
+        self.set_defaults(parser=self)
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong in one line, and end."""
+        found = MISTYPED.search(message)
+        if found is not None:
+            choices = [str(choice) for action in self._actions for choice in action.choices or ()]
+            close = nearest(found[1], choices)
+            message = LISTED.sub("", message) + (close or f"; there are {', '.join(choices)}")
+        self.exit(2, f"{self.prog}: {message}; see '{self.prog} --help'\n")
+
+    def refuse(self, words: list[str]) -> NoReturn:
+        """Say that there are no such options, or that the words are too many."""
+        options = [option for action in self._actions for option in action.option_strings]
+        told = [f"{word}{nearest(word.partition('=')[0], options)}" for word in words]
+        self.error(f"no such option or too many words: {', '.join(told)}")
+
+
+def nearest(word: str, known: list[str]) -> str:
+    """Return what to add to an error about a word: the nearest that is known, if one is near."""
+    close = difflib.get_close_matches(word, known, 1)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def own_version() -> str:
+    """Return the version of this project that is installed."""
+    try:
+        return version(DISTRIBUTION)
+    except PackageNotFoundError:
+        return "(not installed)"
