@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import MutableMapping
 from contextlib import suppress
-from typing import TextIO, cast
+from typing import Any, TextIO, cast
 
 import structlog
 
@@ -26,6 +27,7 @@ from mdb_deploy.cli import (
     up,
 )
 from mdb_protocol.errors import MdbError
+from mdb_protocol.words import shown
 
 EPILOG = """\
 first steps:
@@ -73,13 +75,17 @@ def main(argv: list[str] | None = None) -> int:
         processors=[
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="%H:%M:%S.%f", utc=False),
-            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
+            structlog.processors.format_exc_info,
+            _words_shown,
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
+            ),
         ],
     )
     try:
         status: int = arguments.command(arguments)
     except MdbError as error:
-        sys.stderr.write(f"mdb: {error}\n")
+        sys.stderr.write(f"mdb: {shown(error, lines=True)}\n")
         return 2
     except ModuleNotFoundError as error:
         if error.name is None or error.name.startswith("mdb_"):
@@ -91,11 +97,17 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None:
             raise
-        sys.stderr.write(f"mdb: {error.filename}: {error.strerror}; give a path that can be read and written\n")
+        path = shown(error.filename)
+        sys.stderr.write(f"mdb: {path}: {error.strerror}; give a path that can be read and written\n")
         return 2
     except KeyboardInterrupt:
         return 130
     return status
+
+
+def _words_shown(_: object, __: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Let nothing in the log be more than words: a reason may be quoted from a message or a file."""
+    return {name: shown(value, lines=True) if isinstance(value, str) else value for name, value in event.items()}
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -125,8 +125,9 @@ class Run:
             raise MdbError(
                 f"{self.path} is no run folder: it has no {EXPERIMENT_FILE}; give the one that a run named"
             )
-        log = list(read_log(self.path))
-        record = record_of(self.path, Experiment.read(self.path / EXPERIMENT_FILE), log)
+        experiment = Experiment.read(self.path / EXPERIMENT_FILE)
+        log = list(read_log(self.path, experiment.brain.experiment.brain))
+        record = record_of(self.path, experiment, log)
         return record, tables_of(record, log)
 
 
