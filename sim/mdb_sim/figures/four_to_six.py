@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from mdb_protocol.errors import MdbError
+from mdb_protocol.words import shown
 from mdb_services.recorder import EmptyLogError
 from mdb_sim.runs import measures
 from mdb_sim.runs.record import Doubles, RunRecord, read_record
@@ -46,6 +47,8 @@ TEACHER_SHADES = ("#d9e8f3", "#fbe6d3", "#d9efe6", "#f3e0ec")
 """One background a teacher, in the order of appearance; without a teacher it is white."""
 ERROR_TOP = (0.3, 2.0)
 """Least and greatest upper end of an error axis; above 1 the model is worse than saying 0 to everything."""
+MOST_NAME = 40
+"""Characters of a phase's name."""
 RESAMPLES = 2000
 """Bootstrap samples of the seeds behind a 95 % band."""
 
@@ -322,7 +325,7 @@ def shade(axes: Axes, phases: Sequence[Shown], *, labelled: bool, above: float =
             axes.axvline(phase.start, color=MUTED, linewidth=0.8)
         if labelled:
             axes.text(
-                (phase.start + phase.stop) / 2, above, phase.name, transform=axes.get_xaxis_transform(),
+                (phase.start + phase.stop) / 2, above, shown(phase.name, MOST_NAME), transform=axes.get_xaxis_transform(),
                 ha="center", va="bottom", fontsize=9.5, color=INK,
             )  # fmt: skip
 
