@@ -20,6 +20,7 @@ from mdb_protocol.messages import LongTermFile, LongTermModel
 from mdb_protocol.words import shown
 from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.memory.file import MemoryFile
+from mdb_services.mechanism.networks.network import Network
 from mdb_services.memory.model_memory import ModelMemory
 from mdb_services.memory.reading import opened
 from mdb_services.memory.rescue import survey
@@ -38,6 +39,11 @@ SHOWN_PAIRS = 10
 def read(source: Path, names: Sequence[str] = ()) -> list[LongTermModel]:
     """Return the models of a source, those with the given names if any; MdbError when there are none."""
     models = _read_run(source) if source.is_dir() else _read_file(source)
+    for model in models:
+        try:
+            Network.from_arrays(model.layers, model.weights)
+        except ValueError as error:
+            raise DamageError(f"model {model.model}/{model.id} of {source} is no network: {error}") from error
     if not names:
         return models
     for name in names:

@@ -68,9 +68,7 @@ def check_rows(what: str, *arrays: np.ndarray) -> None:
 
 
 def check_weights(layers: list[int], weights: np.ndarray) -> None:
-    """Raise ValueError unless weights (n,) are those of a network of these layers: inputs, hidden units, outputs."""
-    if len(layers) < 3 or not layers[0] or not layers[-1]:
-        raise ValueError(f"layers {layers}: expected inputs, hidden units and outputs, of both ends one at least")
+    """Raise ValueError unless weights (n,) are those of a network of these layers."""
     check_array("weights", weights, "f", 1)
     expected = sum((i + 1) * o for i, o in pairwise(layers))
     if len(weights) != expected:

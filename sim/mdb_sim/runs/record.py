@@ -171,7 +171,7 @@ class RunRecord:
 class _Found:
     """Messages of a log by iteration; the first of each counts. One that is beyond the experiment's end is none."""
 
-    end: int
+    brain: BrainConfig
     messages: int = 0
     reports: dict[int, IterationReport] = field(default_factory=dict)
     scenes: dict[int, Scene] = field(default_factory=dict)
@@ -186,7 +186,7 @@ class _Found:
 
     def take(self, message: Message) -> None:
         self.messages += 1
-        if getattr(message, "iteration", 0) > self.end:
+        if getattr(message, "iteration", 0) > self.brain.experiment.iterations:
             return
         match message:
             case IterationReport():
@@ -201,26 +201,34 @@ class _Found:
                 self.lessons.append(message)
             case Timing():
                 self.timings.setdefault(message.iteration, message)
-            case CurrentModel():
+            case CurrentModel() if self._is_one(message):
                 self.models.setdefault((message.model, message.version), message)
             case Pair() if message.feedback is not None:
                 self.judged.setdefault(message.iteration, message)
 
-    def with_late_feedback(self, brain: BrainConfig) -> dict[int, IterationReport]:
-        """Return the reports with the feedback that came after them, and the errors that it shows."""
-        variables = brain.variables()
-        books = {model.name: Codebook(variables, model.inputs, model.outputs) for model in brain.model}
-        return {i: self._judged(report, books) for i, report in self.reports.items()}
+    @cached_property
+    def _books(self) -> dict[str, Codebook]:
+        variables = self.brain.variables()
+        return {model.name: Codebook(variables, model.inputs, model.outputs) for model in self.brain.model}
 
-    def _judged(self, report: IterationReport, books: Mapping[str, Codebook]) -> IterationReport:
+    def _is_one(self, model: CurrentModel) -> bool:
+        """Whether a model is one of this brain's: what is drawn of a run lets its networks predict."""
+        book = self._books.get(model.model)
+        return book is not None and len(model.layers) > 2 and book.misfit(model.layers) is None
+
+    def with_late_feedback(self) -> dict[int, IterationReport]:
+        """Return the reports with the feedback that came after them, and the errors that it shows."""
+        return {i: self._judged(report) for i, report in self.reports.items()}
+
+    def _judged(self, report: IterationReport) -> IterationReport:
         pair = self.judged.get(report.iteration)
         if pair is None or report.feedback is not None:
             return report
         acted_upon = {name: self.models.get((name, version)) for name, version in report.versions.items()}
         networks = {
-            name: Known(books[name], Network.from_arrays(model.layers, model.weights))
+            name: Known(self._books[name], Network.from_arrays(model.layers, model.weights))
             for name, model in acted_upon.items()
-            if model is not None and name in books
+            if model is not None
         }
         errors = report.prequential | prequential(networks, pair)
         return structs.replace(report, feedback=pair.feedback, judges=pair.judges, prequential=errors)
@@ -235,7 +243,7 @@ def read_record(run: Path) -> RunRecord:
 
 def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> RunRecord:
     """Return the record of messages in the order in which they were recorded."""
-    found = _Found(experiment.brain.experiment.iterations)
+    found = _Found(experiment.brain)
     for recorded in log:
         found.take(recorded.message)
     if found.iterations > GAP * found.messages + SHORT:
@@ -243,7 +251,7 @@ def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> Run
             f"the run log in {run} has {found.messages} messages and speaks of iteration {found.iterations}: it is "
             "damaged, or nearly all of it is lost"
         )
-    reports, n = found.with_late_feedback(experiment.brain), found.iterations
+    reports, n = found.with_late_feedback(), found.iterations
     return RunRecord(
         run=run,
         experiment=experiment,
