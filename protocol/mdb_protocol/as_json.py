@@ -58,7 +58,14 @@ def decode(message_type: type[M], text: bytes, encoding: str) -> M:
         raise DecodeError(f"{len(text)} bytes of JSON; at most {MAX_TEXT} are accepted")
     try:
         message: M = _decoder(message_type).decode(text)
-    except (msgspec.ValidationError, msgspec.DecodeError, ValueError, TypeError, OverflowError, RecursionError) as error:
+    except (
+        msgspec.ValidationError,
+        msgspec.DecodeError,
+        ValueError,
+        TypeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         raise DecodeError(f"not a valid {message_type.__name__}: {error}") from error
     return message
 

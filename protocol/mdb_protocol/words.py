@@ -1,8 +1,8 @@
 """Words that others chose, on their way to a terminal, a log or a page: shown as what they are, and nothing else.
 
-Names, statuses, messages, paths: whoever wrote them may have written control characters, which a terminal obeys, marks
-that turn the direction of writing, or a megabyte. `shown` is for all of them. Markup is no business of this module:
-what prints with markup is to be told not to.
+Names, statuses, messages, paths: whoever wrote them may have written control characters, which a terminal obeys,
+marks that turn the direction of writing, or a megabyte. `shown` is for all of them. Markup is no business of this
+module: what prints with markup is to be told not to.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import unicodedata
 MOST = 4096
 """Characters that are shown of one text."""
 HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
-"""Unicode's categories of what is no picture on the screen: control, format, halves of a pair, private, none, breaks."""
+"""Unicode's categories of what is not seen on the screen: control, format, half a pair, private, none, breaks."""
 MOST_MARKS = 4
 """Accents on one letter: more would cover the lines above."""
 

@@ -35,12 +35,14 @@ PACKAGES = ("multilevel-darwinist-brain", "eclipse-zenoh", "numpy", "numba", "ms
 LOG_PATTERN = "run*.mcap"
 RETRY_S = 1.0
 """How often a disk that takes nothing is tried again."""
+SEGMENTS = 8
+"""Parts of a log of which only the newest is kept: the oldest part goes when the newest is full."""
 MAX_CHANNELS = 60_000
 """Pairs of key and encoding in one segment, whose format has room for 65535; then the next segment begins."""
 
 
 STRANGE = 20_000
-"""So many more messages that cannot be read, or are no brain's, than those that can: then the rest is not looked at."""
+"""After so many more messages that cannot be read, or are no brain's, than those that can, the rest is left."""
 
 
 class EmptyLogError(MdbError):
@@ -61,9 +63,15 @@ class Recorder:
 
     role, instance = ROLE, "log"
 
-    def __init__(self, bus: Bus, run: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin the next segment of the run's log; a restarted recorder never writes into an old one."""
+    def __init__(
+        self, bus: Bus, run: Path, clock: Callable[[], float] = time.monotonic, *, keep_bytes: int | None = None
+    ) -> None:
+        """Begin the next segment of the run's log; a restarted recorder never writes into an old one.
+
+        keep_bytes: of the log only the newest so many are kept, in whole segments, each with its index; None: all.
+        """
         self.bus = bus
+        self._keep_bytes = keep_bytes
         self._run, self._clock = run, clock
         self._count = self._bytes = self._lost = 0
         self._unflushed = 0
@@ -154,15 +162,33 @@ class Recorder:
         self._unflushed = 0
 
     def _write(self, raw: Raw, message: Message) -> None:
-        if self._channels.full_for(raw.key, raw.encoding):
+        if self._channels.full_for(raw.key, raw.encoding) or self._is_long():
             self._end()
             self._begin()
+            self._forget()
         text, now = as_json.encode(message, raw.payload), time.time_ns()
         self._unflushed += 1
         channel = self._channels.of(raw.key, type(message), raw.encoding)
         self._writer.add_message(channel, now, text, now, sequence=self._count)
         self._count += 1
         self._bytes += len(text)
+
+    def _is_long(self) -> bool:
+        """Whether the segment is as long as it may be, where not all of the log is kept."""
+        assert self._file is not None
+        return self._keep_bytes is not None and self._file.tell() >= self._keep_bytes // SEGMENTS
+
+    def _forget(self) -> None:
+        """Remove the oldest segments beyond what is kept; there is room for the new one."""
+        if self._keep_bytes is None:
+            return
+        *old, _ = segments_of(self._run)
+        sizes = {path: path.stat().st_size for path in old}
+        for path in old:
+            if sum(sizes.values()) <= self._keep_bytes - self._keep_bytes // SEGMENTS:
+                return
+            path.unlink()
+            del sizes[path]
 
     def values(self) -> dict[str, float]:
         """Messages and their bytes written, messages that the disk did not take, and whether it takes none now."""
@@ -234,7 +260,9 @@ def read_log(run: Path, brain: str | None = None) -> Iterator[Recorded]:
             yield recorded
     if empty:
         whose = "" if brain is None else f" of brain {brain}"
-        raise EmptyLogError(f"no message{whose} can be read of the run log in {run}: it is empty, damaged or another's")
+        raise EmptyLogError(
+            f"no message{whose} can be read of the run log in {run}: it is empty, damaged or another's"
+        )
 
 
 def segments_of(run: Path) -> list[Path]:

@@ -90,6 +90,11 @@ def _cut(folder: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
+def _drop(folder: Path) -> None:
+    with sqlite3.connect(folder / "memory.sqlite") as db:
+        db.execute("DROP TABLE long_term")
+
+
 DAMAGES: dict[str, Callable[[Path], object]] = {
     "a pair is deleted": sql("DELETE FROM pair WHERE iteration = 30"),
     "the last pair is deleted": sql(f"DELETE FROM pair WHERE iteration = {PAIRS - 1}"),
@@ -122,7 +127,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
         "DELETE FROM step WHERE version = (SELECT max(version) - 3 FROM step)"
     ),
     "the current model is deleted": sql("DELETE FROM model"),
-    "a table is gone": lambda folder: _drop(folder),
+    "a table is gone": _drop,
     "half of the file is gone": _cut,
     "the file is gone": lambda folder: (folder / "memory.sqlite").unlink(),
     "the witness has heard nothing": lambda folder: (folder / "witness.jsonl").write_text(""),
@@ -130,11 +135,6 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "what the witness wrote is something else": lambda folder: (folder / "witness.jsonl").write_text("{}\n"),
     "another run's memory": lambda folder: MemoryFile(_removed(folder)).close(),
 }
-
-
-def _drop(folder: Path) -> None:
-    with sqlite3.connect(folder / "memory.sqlite") as db:
-        db.execute("DROP TABLE long_term")
 
 
 def _removed(folder: Path) -> Path:

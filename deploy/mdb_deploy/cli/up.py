@@ -12,7 +12,6 @@ from mdb_deploy.experiments import experiment_path
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
-
 NOTHING_DONE = 2
 """Exit status of a run that ended well and of which no iteration is in the log."""
 

@@ -19,8 +19,8 @@ from mdb_protocol.errors import ConfigError, DamageError, DecodeError, MdbError
 from mdb_protocol.messages import LongTermFile, LongTermModel
 from mdb_protocol.words import shown
 from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
-from mdb_services.memory.file import MemoryFile
 from mdb_services.mechanism.networks.network import Network
+from mdb_services.memory.file import MemoryFile
 from mdb_services.memory.model_memory import ModelMemory
 from mdb_services.memory.reading import opened
 from mdb_services.memory.rescue import survey
@@ -106,7 +106,9 @@ def export(source: Path, names: Sequence[str], out: Path) -> int:
         raise MdbError(f"the long-term memory of {source} is empty: nothing to export")
     payload = codec.encode(LongTermFile(models=models))
     if len(payload) > codec.MAX_BYTES:
-        raise MdbError(f"{len(models)} models are too much for one file; name some: mdb ltm export {source} MODEL ...")
+        raise MdbError(
+            f"{len(models)} models are too much for one file; name some: mdb ltm export {source} MODEL ..."
+        )
     out.write_bytes(codec.encoding_of(LongTermFile).encode() + b"\n" + payload)
     return len(models)
 

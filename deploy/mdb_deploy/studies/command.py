@@ -80,7 +80,9 @@ def report(folder: Path, out: Path) -> int:
         raise MdbError(f"--results {folder}: no such folder; expected one that 'mdb study NAME --out' has written")
     found = _read(folder)
     if not found:
-        raise MdbError(f"--results {folder}: no results in it; expected a folder that 'mdb study NAME --out' has written")
+        raise MdbError(
+            f"--results {folder}: no results in it; expected a folder that 'mdb study NAME --out' has written"
+        )
     for path in document.write(found, out, _variants()):
         sys.stderr.write(f"{path}\n")
     return 0

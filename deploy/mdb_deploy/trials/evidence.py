@@ -167,7 +167,9 @@ class _Memory:
             self._say(pair.iteration != i, f"what is stored as pair {i} is pair {pair.iteration}")
             self._say(stored.iteration != i, f"pair {i} was acknowledged as {stored.iteration}")
             self._say((pair.note, pair.choice) != (note, choice), f"pair {i} is filed under another note or choice")
-            self._say(stored.judged != (pair.feedback is not None), f"pair {i} has not the feedback it is said to have")
+            self._say(
+                stored.judged != (pair.feedback is not None), f"pair {i} has not the feedback it is said to have"
+            )
             self._pairs[i], self._stored[i] = codec.to_plain(pair), codec.to_plain(stored)
         for id, payload in self._file.rows("SELECT id, payload FROM recalled"):
             self._say(self._decoded(messages.Pair, payload) is None, f"recalled pair {id} cannot be read")
@@ -191,7 +193,9 @@ class _Memory:
             self._changes[model, version].add((slot, pair))
             known = pair is None or pair in (self._pairs if pair >= 0 else self._recalled)
             self._say(not known, f"change {version} of {model} has pair {pair}, which is not there")
-        self._contexts = {(model, version) for model, version in self._file.rows("SELECT model, version FROM context")}
+        self._contexts = {
+            (model, version) for model, version in self._file.rows("SELECT model, version FROM context")
+        }
         self.checked |= {"changes": len(self._changes), "contexts": len(self._contexts)}
 
     def _versions(self) -> dict[str, set[int]]:
@@ -267,7 +271,8 @@ class _Memory:
             later = any(iteration > event["iteration"] for iteration in there[model].values())
             self._say(
                 event["stored"] not in there[model] and not later,
-                f"{model}/{event['stored']}, {event['kind']} with pair {event['iteration']}, is not in the long-term memory",
+                f"{model}/{event['stored']}, {event['kind']} with pair {event['iteration']}, is not in the long-term "
+                "memory",
             )
         self.checked["long-term models"] = sum(map(len, there.values()))
 

@@ -1,9 +1,9 @@
 """Memory files read, and never written: of a run that goes on, of another user, on a disk that takes nothing, of
 anybody who sends one.
 
-Owns how SQLite is kept from writing, and within bounds. An SQLite file is a program, too: views and triggers in it are
-run by who asks for a table, its pages can name one another for ever. So the tables must be tables, no statement may
-take longer than `MOST_S` of processor time, and no more may come out of a file than is in it.
+Owns how SQLite is kept from writing, and within bounds. An SQLite file is a program, too: views and triggers in it
+are run by who asks for a table, its pages can name one another for ever. So the tables must be tables, no statement
+may take longer than `MOST_S` of processor time, and no more may come out of a file than is in it.
 """
 
 from __future__ import annotations

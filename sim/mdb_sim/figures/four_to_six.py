@@ -325,8 +325,8 @@ def shade(axes: Axes, phases: Sequence[Shown], *, labelled: bool, above: float =
             axes.axvline(phase.start, color=MUTED, linewidth=0.8)
         if labelled:
             axes.text(
-                (phase.start + phase.stop) / 2, above, shown(phase.name, MOST_NAME), transform=axes.get_xaxis_transform(),
-                ha="center", va="bottom", fontsize=9.5, color=INK,
+                (phase.start + phase.stop) / 2, above, shown(phase.name, MOST_NAME),
+                transform=axes.get_xaxis_transform(), ha="center", va="bottom", fontsize=9.5, color=INK,
             )  # fmt: skip
 
 

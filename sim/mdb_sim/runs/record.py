@@ -234,7 +234,6 @@ class _Found:
         return structs.replace(report, feedback=pair.feedback, judges=pair.judges, prequential=errors)
 
 
-
 def read_record(run: Path) -> RunRecord:
     """Return the record of a run folder, finished or not; MdbError when log or experiment file is missing."""
     experiment = Experiment.read(run / EXPERIMENT_FILE)
@@ -264,7 +263,9 @@ def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> Run
         mode=_words(n, {i: r.mode for i, r in reports.items()}),
         event=_words(n, {i: r.event for i, r in reports.items()}),
         successes=_successes(found, frozenset(experiment.robot.successes), n),
-        prequential=_by_model(n, experiment.brain, {i: r.prequential for i, r in reports.items()}, np.nan, np.float64),
+        prequential=_by_model(
+            n, experiment.brain, {i: r.prequential for i, r in reports.items()}, np.nan, np.float64
+        ),
         versions=_by_model(n, experiment.brain, {i: r.versions for i, r in reports.items()}, 0, np.int64),
         perception_to_action_s=_column(
             n, {i: t.perception_to_action_s for i, t in found.timings.items()}, np.nan, np.float64

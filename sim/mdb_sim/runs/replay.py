@@ -190,9 +190,7 @@ def replay(run: Run, name: str, compare: Compare = EXACTLY) -> Outcome:
                 break
         else:
             comparison.end()
-    return Outcome(
-        name, heard, comparison.compared, comparison.unmatched, comparison.difference, comparison.said
-    )
+    return Outcome(name, heard, comparison.compared, comparison.unmatched, comparison.difference, comparison.said)
 
 
 class _Answers:

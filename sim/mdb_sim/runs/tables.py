@@ -19,7 +19,7 @@ from mdb_sim.runs.record import RunRecord
 Columns = dict[str, list[Any]]
 Row = dict[str, Any]
 SPARSE, SMALL = 20, 1_000_000
-"""A table of more cells than `SPARSE` times its values and `SMALL` is not made: it would be far larger than the log."""
+"""A table of more cells than `SPARSE` times its values and `SMALL` is not made: it is far larger than its log."""
 TABLES = ("iterations", "pairs", "models", "contexts", "scenes")
 
 
@@ -56,8 +56,8 @@ def columns(rows: Iterable[Row], first: Iterable[str] = ()) -> Columns:
     values = sum(map(len, listed))
     if len(names) * len(listed) > SPARSE * values + SMALL:
         raise DamageError(
-            f"a table of {len(names)} columns and {len(listed)} rows for {values} values: each message of this log has "
-            "other names, so it is damaged, or of no run"
+            f"a table of {len(names)} columns and {len(listed)} rows for {values} values: each message of this log "
+            "has other names, so it is damaged, or of no run"
         )
     split = {name[:at] for name in names for at, letter in enumerate(name) if letter == "."}
     return {name: [row.get(name) for row in listed] for name in names if name not in split}
