@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +19,8 @@ from mdb_protocol.errors import DamageError
 
 MOST_BYTES = 64 * 2**20
 """Bound on a file that is read as a whole, unless its reader says another."""
+PART = 2**20
+"""Bytes that are copied at a time."""
 KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a named pipe",
@@ -67,7 +68,7 @@ def copy(path: Path, to: Path, most: int | None = None) -> None:
     """Copy a file's content up to its first hole, behind which nobody has written; raises as `opened` does."""
     with opened(path, most) as file, to.open("xb") as copied:
         left = _until_hole(file)
-        while left > 0 and (part := file.read(min(left, shutil.COPY_BUFSIZE))):
+        while left > 0 and (part := file.read(min(left, PART))):
             left -= len(part)
             copied.write(part)
 

@@ -253,16 +253,15 @@ def read_log(run: Path, brain: str | None = None) -> Iterator[Recorded]:
     segments = segments_of(run)
     if not segments:
         raise MdbError(f"no run log ({LOG_PATTERN}) in {run}; give the folder that 'mdb up' named at its end")
-    empty = True
+    empty, reasons = True, list[str]()
     for segment in segments:
-        for recorded in _read_segment(segment, brain):
+        for recorded in _read_segment(segment, brain, reasons):
             empty = False
             yield recorded
     if empty:
         whose = "" if brain is None else f" of brain {brain}"
-        raise EmptyLogError(
-            f"no message{whose} can be read of the run log in {run}: it is empty, damaged or another's"
-        )
+        why = "; ".join(reasons[:1]) or "it is empty, or another's"
+        raise EmptyLogError(f"no message{whose} can be read of the run log in {run}: {why}")
 
 
 def segments_of(run: Path) -> list[Path]:
@@ -270,7 +269,8 @@ def segments_of(run: Path) -> list[Path]:
     return sorted(run.glob(LOG_PATTERN), key=lambda path: (len(path.name), path.name))
 
 
-def _read_segment(path: Path, brain: str | None) -> Iterator[Recorded]:
+def _read_segment(path: Path, brain: str | None, reasons: list[str]) -> Iterator[Recorded]:
+    """Yield the messages of a segment; why it ends early, if it does, is added to `reasons`."""
     rows: dict[str, tuple[str, Key | None]] = {}
     strange = 0
     with files.opened(path, None) as file:
@@ -294,4 +294,5 @@ def _read_segment(path: Path, brain: str | None) -> Iterator[Recorded]:
                     continue
                 strange -= 2
         except log_records.DAMAGE as error:
-            log.info("log ends early", path=str(path), reason=str(error) or type(error).__name__)
+            reasons.append(str(error) or type(error).__name__)
+            log.info("log ends early", path=str(path), reason=reasons[-1])
