@@ -91,7 +91,7 @@ INPUTS: dict[str, Callable[[Path], object]] = {
         "CREATE TRIGGER more AFTER INSERT ON pair BEGIN INSERT INTO recalled VALUES (NULL, randomblob(1000000)); END"
     ),
     "pages that name one another": _pages_in_a_ring,
-    "one value of 100 MB": sql("INSERT INTO long_term VALUES ('object', 1, zeroblob(100000000))"),
+    "one value of 40 MB": sql("INSERT INTO long_term VALUES ('object', 1, zeroblob(40000000))"),
     "models that are words": sql("INSERT INTO long_term VALUES ('object', 1, 'a word')"),
     "a write-ahead log that is a pipe": _a_log_that_is_a_pipe,
     "cut within a page": _cut,

@@ -7,6 +7,7 @@ by can be told.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib
 import io
 import os
@@ -20,7 +21,7 @@ from pathlib import Path
 from tests.edges.cases import Kind, Make
 
 GOLDEN = Path(__file__).parents[1] / "replay" / "golden" / "paper"
-KILLED_S = 30.0
+KILLED_S = 100.0
 """A command that has not ended by then hangs; it is ended by us."""
 MOST_S, MOST_BYTES = 2.0, 200 * 2**20
 """What a command may take, in processor time and in memory beyond what it begins with."""
@@ -83,8 +84,11 @@ def attempt(kind: Kind, name: str, command: str, folder: Path) -> Outcome:
     return Outcome(kind.name, name, command, status, said, processor_s, bytes_ - _idle(), touched)
 
 
-def run(words: list[str]) -> tuple[int, str, float, int]:
-    """Run `mdb` with these words in a fork; return status, what it said, processor time, greatest memory."""
+def run(words: list[str], *, powerless: bool = False) -> tuple[int, str, float, int]:
+    """Run `mdb` with these words in a fork; return status, what it said, processor time, greatest memory.
+
+    powerless: for it a folder without a right to write is one, also where the tests are root's.
+    """
     reads, writes = os.pipe()
     sys.stdout.flush()
     pid = os.fork()
@@ -92,6 +96,8 @@ def run(words: list[str]) -> tuple[int, str, float, int]:
         status = 70
         try:
             said = io.TextIOWrapper(io.FileIO(writes, "w"), write_through=True, errors="replace")
+            if powerless:
+                _without_powers()
             with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
                 status = _main(words)
         finally:
@@ -104,6 +110,13 @@ def run(words: list[str]) -> tuple[int, str, float, int]:
     _, code, used = os.wait4(pid, 0)
     timer.cancel()
     return os.waitstatus_to_exitcode(code), text, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
+
+
+def _without_powers() -> None:
+    """Give up root's powers over files (capset(2), version 3)."""
+    head, none = (ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()
+    if ctypes.CDLL(None, use_errno=True).capset(head, none):
+        raise OSError(ctypes.get_errno(), "capset")
 
 
 def _main(words: list[str]) -> int:
