@@ -30,6 +30,8 @@ class Kind:
     file: str
     commands: tuple[str, ...]
     inputs: dict[str, Make]
+    may_pass: frozenset[str] = frozenset()
+    """Inputs that are strange and well-formed: a command may do what it can with them."""
 
 
 NO_FILES: dict[str, Make] = {
@@ -51,7 +53,7 @@ NONSENSE: dict[str, Make] = {
 KINDS = (
     Kind("memory file", "RUN/memory.sqlite", MEMORY, NO_FILES | NONSENSE | databases.INPUTS),
     Kind("memory file of which models are asked", "RUN/memory.sqlite", LTM, databases.MODELS),
-    Kind("run log", "RUN/run.mcap", LOG, NO_FILES | NONSENSE | logs.INPUTS),
+    Kind("run log", "RUN/run.mcap", LOG, NO_FILES | NONSENSE | logs.INPUTS, logs.WELL_FORMED),
     Kind("experiment file", "RUN/experiment.toml", EXPERIMENT, NO_FILES | NONSENSE | plain.EXPERIMENTS),
     Kind("exported models", "FILE", MODELS, NO_FILES | NONSENSE | databases.EXPORTS),
     Kind("result of a study", "RESULTS/memory/a/seed1.parquet", RESULTS, NO_FILES | NONSENSE | plain.RESULTS),

@@ -152,3 +152,4 @@ INPUTS: dict[str, Callable[[Path], object]] = {
     "an iteration long after the end": written(lambda put: put(f"mdb/{BRAIN}/iteration", _report(10_000_000))),
     "a message each of other names": _other_names,
 }
+WELL_FORMED = frozenset({"a message each of other names"})

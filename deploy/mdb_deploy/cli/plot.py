@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from mdb_deploy.cli.options import Commands
+from mdb_protocol.errors import DamageError
 
 
 def add(commands: Commands) -> None:
@@ -31,7 +32,13 @@ def draw(runs: list[Path], out: Path | None) -> list[Path]:
     from mdb_sim.figures.four_to_six import draw, draw_band
     from mdb_sim.figures.learning import draw_runs
 
-    if len(runs) == 1:
-        out = out or writable(runs[0])
-        return [*draw(runs[0], out), *draw_runs(runs, out)]
-    return [*draw_band(runs, out or Path()), *draw_runs(runs, out or Path())]
+    try:
+        if len(runs) == 1:
+            out = out or writable(runs[0])
+            return [*draw(runs[0], out), *draw_runs(runs, out)]
+        return [*draw_band(runs, out or Path()), *draw_runs(runs, out or Path())]
+    except (LookupError, ValueError, ArithmeticError) as error:  # each message is one, but not of this machine
+        names = ", ".join(map(str, runs))
+        raise DamageError(
+            f"what the run log says does not fit its experiment, so {names} cannot be drawn: {error!r}"
+        ) from error

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import structlog
 
-from mdb_protocol.errors import MdbError
+from mdb_protocol.errors import DamageError, MdbError
 from mdb_protocol.words import shown
 from mdb_sim.runs.compare import within
 from mdb_sim.runs.replay import Outcome, Role, Run, replay, roles
@@ -50,7 +50,10 @@ def _is(service: str, name: str) -> bool:
 
 
 def _replay(run: Run, name: str, tolerance: float) -> Outcome:
-    outcome = replay(run, name, within(tolerance))
+    try:
+        outcome = replay(run, name, within(tolerance))
+    except (LookupError, ValueError, ArithmeticError) as error:  # each message is one, but not of this machine
+        raise DamageError(f"the run log does not fit its experiment: {name} cannot take it: {error!r}") from error
     lost = f", {outcome.unmatched} without counterpart" if outcome.unmatched else ""
     if outcome.difference:
         verdict = f"DIFFERS: {shown(outcome.difference)}"
