@@ -250,7 +250,8 @@ class _Memory:
             answers = [*self._heard.stored.get(i, []), *([self._stored[i]] if i in self._stored else [])]
             began = {(model, answer["versions"].get(model)) for answer in answers}
             self._say(bool(began) and not began & self._contexts, f"the context of {model} since pair {i} is gone")
-        seeds = dict(self._file.rows("SELECT model, count(*) FROM seed GROUP BY model"))
+        counted = self._file.rows("SELECT model, count(*) FROM seed GROUP BY model")
+        seeds: dict[str, int] = {row[0]: row[1] for row in counted}
         for model in {model for model, _ in self._contexts}:
             newest = max(version for name, version in self._contexts if name == model)
             said = self._heard.changes.get((model, newest))

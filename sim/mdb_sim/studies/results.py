@@ -109,8 +109,8 @@ def decode(data: bytes) -> Result:
     with pq.ParquetFile(pa.BufferReader(data)) as file:
         said = file.metadata
         unpacked = sum(said.row_group(number).total_byte_size for number in range(said.num_row_groups))
-        if said.num_rows > MOST_PHASES or unpacked > MOST_BYTES:
-            raise ValueError(f"{said.num_rows} rows and {size(unpacked)}: no run has that many")
+        if not 0 < said.num_rows <= MOST_PHASES or unpacked > MOST_BYTES:
+            raise ValueError(f"{said.num_rows} phases in {size(unpacked)}: no run has that many")
         return _result(file.read())
 
 
