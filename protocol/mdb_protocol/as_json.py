@@ -22,6 +22,8 @@ from mdb_protocol.messages import Message
 
 M = TypeVar("M", bound=Message)
 
+MAX_TEXT = 2 * codec.MAX_BYTES
+"""Largest JSON of one message that is decoded, in bytes: base64 and names make it longer than what was sent."""
 ARRAY_SCHEMA: dict[str, Any] = {
     "title": schema.ARRAY,
     "description": "An array of numbers: those of `data`, of type `dtype`, the last dimension fastest.",
@@ -52,9 +54,18 @@ def encode(message: Message, payload: bytes | None = None) -> bytes:
 def decode(message_type: type[M], text: bytes, encoding: str) -> M:
     """Return the message; `encoding` is that which it had on the network. DecodeError when it is none."""
     codec.check_encoding(message_type, encoding)
+    if len(text) > MAX_TEXT:
+        raise DecodeError(f"{len(text)} bytes of JSON; at most {MAX_TEXT} are accepted")
     try:
         message: M = _decoder(message_type).decode(text)
-    except (msgspec.ValidationError, msgspec.DecodeError, ValueError, TypeError, RecursionError) as error:
+    except (
+        msgspec.ValidationError,
+        msgspec.DecodeError,
+        ValueError,
+        TypeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         raise DecodeError(f"not a valid {message_type.__name__}: {error}") from error
     return message
 

@@ -17,14 +17,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from mdb_protocol import files
 from mdb_protocol.endpoints import ENCRYPTED, Endpoint
-from mdb_protocol.errors import BusError
+from mdb_protocol.errors import BusError, DamageError
 from mdb_protocol.roles import Role, User
 
 BLOCK = re.compile(rb"-----BEGIN ([A-Z ]+)-----\n.*?-----END \1-----\n?", re.DOTALL)
 SAYS = re.compile(r"^(\w+): (.+)$", re.MULTILINE)
 NOT_YET_VALID, EXPIRED = 9, 10
 """OpenSSL's X509_V_ERR_CERT_NOT_YET_VALID and X509_V_ERR_CERT_HAS_EXPIRED."""
+MOST_BYTES = 32 * 2**10
+"""Of a bundle; those of `mdb keys` have 2 kB."""
 PROBE_S = 1.0
 """Bound on each step of asking a router why."""
 MAKE_NEW = "ask for a new one: 'mdb keys remove NAME', then 'mdb keys add-teacher NAME' or 'add-viewer NAME'"
@@ -45,9 +48,11 @@ class Bundle:
     def read(cls, path: Path) -> Bundle:
         """Read a bundle file; BusError when it is not one."""
         try:
-            content = path.read_bytes().removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n")  # through other systems
+            content = files.content(path, MOST_BYTES).removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n")
         except OSError as error:
             raise BusError(f"cannot read the keys {path}: {error.strerror}; 'mdb keys init' makes some") from error
+        except DamageError as error:
+            raise BusError(f"{error}: a bundle of 'mdb keys'") from error
         blocks = [(found.group(1), found.group(0)) for found in BLOCK.finditer(content)]
         keys = [pem for kind, pem in blocks if kind.endswith(b"PRIVATE KEY")]
         certificates = [pem for kind, pem in blocks if kind == b"CERTIFICATE"]

@@ -51,7 +51,14 @@ def decode(message_type: type[M], payload: bytes, encoding: str) -> M:
     try:
         plain = unpack(payload)
         return msgspec.convert(plain, message_type, dec_hook=_dec_hook)
-    except (msgspec.ValidationError, msgpack.UnpackException, ValueError, TypeError, RecursionError) as error:
+    except (
+        msgspec.ValidationError,
+        msgpack.UnpackException,
+        ValueError,
+        TypeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         raise DecodeError(f"not a valid {message_type.__name__}: {error}") from error
 
 
@@ -129,11 +136,11 @@ def _ext_hook(code: int, data: bytes) -> Any:
 
 
 def is_shape(shape: Any) -> TypeGuard[list[int]]:
-    """Whether something that came is the shape of an array: 1 to 4 lengths."""
+    """Whether something that came is the shape of an array that a payload has room for: 1 to 4 lengths."""
     return (
         isinstance(shape, list)
         and 1 <= len(shape) <= 4
-        and all(isinstance(length, int) and not isinstance(length, bool) and length >= 0 for length in shape)
+        and all(type(length) is int and 0 <= length <= MAX_BYTES for length in shape)
     )
 
 

@@ -9,7 +9,6 @@ messages of a run, decoded; figures and comparisons use it alone. It also reads 
 from __future__ import annotations
 
 import platform
-import struct
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -18,16 +17,15 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 import structlog
-from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
-from mdb_protocol import as_json, codec, keys
+from mdb_protocol import as_json, codec, files, keys
 from mdb_protocol.bus import TAPPED, Bus, Raw, read, read_as
-from mdb_protocol.errors import DecodeError, MdbError
+from mdb_protocol.errors import DamageError, DecodeError, MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
+from mdb_services import log_records
 from mdb_services.experiment.brain import EXPERIMENT_FILE
 
 log = structlog.get_logger()
@@ -37,10 +35,18 @@ PACKAGES = ("multilevel-darwinist-brain", "eclipse-zenoh", "numpy", "numba", "ms
 LOG_PATTERN = "run*.mcap"
 RETRY_S = 1.0
 """How often a disk that takes nothing is tried again."""
+SEGMENTS = 8
+"""Parts of a log of which only the newest is kept: the oldest part goes when the newest is full."""
 MAX_CHANNELS = 60_000
 """Pairs of key and encoding in one segment, whose format has room for 65535; then the next segment begins."""
-DAMAGE = (McapError, EOFError, struct.error, ValueError, LookupError, OverflowError, MemoryError)
-"""What reading a cut or damaged file can raise."""
+
+
+STRANGE = 20_000
+"""After so many more messages that cannot be read, or are no brain's, than those that can, the rest is left."""
+
+
+class EmptyLogError(MdbError):
+    """A run log of which nothing can be read."""
 
 
 def versions() -> dict[str, str]:
@@ -57,9 +63,15 @@ class Recorder:
 
     role, instance = ROLE, "log"
 
-    def __init__(self, bus: Bus, run: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin the next segment of the run's log; a restarted recorder never writes into an old one."""
+    def __init__(
+        self, bus: Bus, run: Path, clock: Callable[[], float] = time.monotonic, *, keep_bytes: int | None = None
+    ) -> None:
+        """Begin the next segment of the run's log; a restarted recorder never writes into an old one.
+
+        keep_bytes: of the log only the newest so many are kept, in whole segments, each with its index; None: all.
+        """
         self.bus = bus
+        self._keep_bytes = keep_bytes
         self._run, self._clock = run, clock
         self._count = self._bytes = self._lost = 0
         self._unflushed = 0
@@ -150,15 +162,33 @@ class Recorder:
         self._unflushed = 0
 
     def _write(self, raw: Raw, message: Message) -> None:
-        if self._channels.full_for(raw.key, raw.encoding):
+        if self._channels.full_for(raw.key, raw.encoding) or self._is_long():
             self._end()
             self._begin()
+            self._forget()
         text, now = as_json.encode(message, raw.payload), time.time_ns()
         self._unflushed += 1
         channel = self._channels.of(raw.key, type(message), raw.encoding)
         self._writer.add_message(channel, now, text, now, sequence=self._count)
         self._count += 1
         self._bytes += len(text)
+
+    def _is_long(self) -> bool:
+        """Whether the segment is as long as it may be, where not all of the log is kept."""
+        assert self._file is not None
+        return self._keep_bytes is not None and self._file.tell() >= self._keep_bytes // SEGMENTS
+
+    def _forget(self) -> None:
+        """Remove the oldest segments beyond what is kept; there is room for the new one."""
+        if self._keep_bytes is None:
+            return
+        *old, _ = segments_of(self._run)
+        sizes = {path: path.stat().st_size for path in old}
+        for path in old:
+            if sum(sizes.values()) <= self._keep_bytes - self._keep_bytes // SEGMENTS:
+                return
+            path.unlink()
+            del sizes[path]
 
     def values(self) -> dict[str, float]:
         """Messages and their bytes written, messages that the disk did not take, and whether it takes none now."""
@@ -214,36 +244,55 @@ def next_segment(run: Path) -> Path:
     return run / ("run.mcap" if newest is None else f"run-{newest + 1}.mcap")
 
 
-def read_log(run: Path) -> Iterator[Recorded]:
+def read_log(run: Path, brain: str | None = None) -> Iterator[Recorded]:
     """Yield the messages of all segments of a run in the order recorded; what does not decode is left out.
 
-    Reads logs that a kill cut short. Raises MdbError when the folder holds no log.
+    brain: those of this one alone. Reads logs that a kill cut short, and never more at a time than one message.
+    Raises MdbError when the folder holds no log, or in the end when there was no such message in it.
     """
-    segments = sorted(run.glob(LOG_PATTERN), key=lambda path: (len(path.name), path.name))
+    segments = segments_of(run)
     if not segments:
         raise MdbError(f"no run log ({LOG_PATTERN}) in {run}; give the folder that 'mdb up' named at its end")
+    empty, reasons = True, list[str]()
     for segment in segments:
-        yield from _read_segment(segment)
+        for recorded in _read_segment(segment, brain, reasons):
+            empty = False
+            yield recorded
+    if empty:
+        whose = "" if brain is None else f" of brain {brain}"
+        why = "; ".join(reasons[:1]) or "it is empty, or another's"
+        raise EmptyLogError(f"no message{whose} can be read of the run log in {run}: {why}")
 
 
-def _read_segment(path: Path) -> Iterator[Recorded]:
+def segments_of(run: Path) -> list[Path]:
+    """Return the files of a run's log, the oldest first."""
+    return sorted(run.glob(LOG_PATTERN), key=lambda path: (len(path.name), path.name))
+
+
+def _read_segment(path: Path, brain: str | None, reasons: list[str]) -> Iterator[Recorded]:
+    """Yield the messages of a segment; why it ends early, if it does, is added to `reasons`."""
     rows: dict[str, tuple[str, Key | None]] = {}
-    with path.open("rb") as file:
-        reader = NonSeekingReader(file)
+    strange = 0
+    with files.opened(path, None) as file:
         try:
-            for _, channel, sample in reader.iter_messages(log_time_order=False):
-                if channel.topic not in rows:
-                    _, _, rest = channel.topic.partition("/")
-                    brain = rest.partition("/")[0]
-                    rows[channel.topic] = brain, keys.find(brain, channel.topic)
-                brain, row = rows[channel.topic]
+            for topic, encoding, metadata_, sample in log_records.messages_of(file):
+                if topic not in rows:
+                    of_brain = topic.partition("/")[2].partition("/")[0]
+                    known = brain in (None, of_brain)
+                    rows[topic] = of_brain, keys.find(of_brain, topic) if known else None
+                of_brain, row = rows[topic]
+                if strange > STRANGE:
+                    raise DamageError("most of its messages are none of this brain's")
+                strange += 1
                 if row is None:
                     continue
-                decode = as_json.decode if channel.message_encoding == MessageEncoding.JSON else codec.decode
-                raw = Raw(channel.topic, sample.data, channel.metadata.get("encoding", ""))
+                decode = as_json.decode if encoding == MessageEncoding.JSON else codec.decode
+                raw = Raw(topic, sample.data, metadata_.get("encoding", ""))
                 try:
-                    yield Recorded(row, raw.key, read_as(decode, row, brain, raw), sample.log_time / 1e9)
+                    yield Recorded(row, raw.key, read_as(decode, row, of_brain, raw), sample.log_time / 1e9)
                 except DecodeError:
                     continue
-        except DAMAGE as error:
-            log.info("log ends early", path=str(path), reason=str(error) or type(error).__name__)
+                strange -= 2
+        except log_records.DAMAGE as error:
+            reasons.append(str(error) or type(error).__name__)
+            log.info("log ends early", path=str(path), reason=reasons[-1])

@@ -10,9 +10,9 @@ from mdb_deploy.experiments import experiment_path
 from mdb_deploy.running.compose import read
 from mdb_deploy.trials.chaos import Commander, Pending
 from mdb_deploy.trials.chaos_report import BY_A_LOT, P99_S, Kill, Report, Row
+from mdb_deploy.trials.evidence import Findings
 from mdb_deploy.trials.soak import FIGURES, Soak
 from mdb_deploy.trials.under_test import Member, long_experiment
-from mdb_deploy.trials.witness import Findings
 
 CLEAN = Findings(acknowledged=900, stored=900, lost=[], altered=[], doubled=[], missing=[])
 

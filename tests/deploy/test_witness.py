@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from mdb_deploy.trials.witness import compare, write_down
+from mdb_deploy.trials.evidence import compare
+from mdb_deploy.trials.witness import write_down
 from mdb_protocol import keys, messages
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus

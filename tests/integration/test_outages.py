@@ -336,7 +336,7 @@ def test_a_damaged_memory_is_said_at_the_start_and_what_is_left_goes_on_in_anoth
     assert "mdb rescue" in refused.stderr
     assert "Traceback" not in refused.stderr
     models = mdb("ltm", "export", str(run), "--out", str(tmp_path / "models"))
-    assert models.returncode == 0 or "empty" in models.stderr
+    assert models.returncode == 0 or "empty" in models.stderr or "damaged" in models.stderr
     rescued = mdb("rescue", str(run), "--out", str(new))
     assert rescued.returncode == 0, rescued.stderr
     saved = stored_iterations(new)

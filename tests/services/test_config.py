@@ -266,7 +266,7 @@ def test_what_is_wrong_is_a_config_error_that_says_where(changed: dict[str, Any]
 def test_files_that_cannot_be_read_are_config_errors(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot read the experiment file"):
         read_file(tmp_path / "none.toml")
-    with pytest.raises(ConfigError, match="cannot read the experiment file"):
+    with pytest.raises(ConfigError, match="is a folder, and is not read; expected a file: an experiment in TOML"):
         read_file(tmp_path)
     broken = tmp_path / "broken.toml"
     broken.write_bytes(b"\xff\xfe")

@@ -16,7 +16,7 @@ from mdb_protocol.bus import TAPPED, Raw
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services import recorder as recorder_module
-from mdb_services.recorder import RETRY_S, Recorder, read_log
+from mdb_services.recorder import RETRY_S, EmptyLogError, Recorded, Recorder, read_log, segments_of
 from tests.services.small import BRAIN, model, pair, perception
 
 
@@ -41,7 +41,15 @@ class Rig:
         self.fabric.put(self.world, keys.PAIR, Raw(key, payload, encoding))
 
     def read(self) -> list[tuple[str, int]]:
-        return [(r.row.path, getattr(r.message, "iteration", -1)) for r in read_log(self.run)]
+        return [(r.row.path, getattr(r.message, "iteration", -1)) for r in readable(self.run)]
+
+
+def readable(run: Path) -> list[Recorded]:
+    """What can be read of a log; nothing of one that has nothing."""
+    try:
+        return list(read_log(run))
+    except EmptyLogError:
+        return []
 
 
 def test_what_was_said_is_read_again_in_order(tmp_path: Path) -> None:
@@ -227,14 +235,14 @@ def test_a_log_cut_short_anywhere_gives_what_was_whole(whole: bytes, tmp_path: P
     counts = []
     for end in range(0, len(whole), 7):
         path.write_bytes(whole[:end])
-        counts.append(len(list(read_log(tmp_path))))
+        counts.append(len(readable(tmp_path)))
     assert counts == sorted(counts)
     assert (counts[0], counts[-1]) == (0, 10)
 
 
 @settings(derandomize=True, deadline=None, max_examples=150)
 @given(data=st.data())
-def test_a_damaged_log_ends_early_and_raises_nothing(
+def test_a_damaged_log_ends_early_and_raises_nothing_else(
     whole: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     damaged = bytearray(whole)
@@ -242,7 +250,7 @@ def test_a_damaged_log_ends_early_and_raises_nothing(
         damaged[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     run = tmp_path_factory.mktemp("damaged")
     (run / "run.mcap").write_bytes(damaged)
-    assert len(list(read_log(run))) <= 10
+    assert len(readable(run)) <= 10
 
 
 def test_a_folder_without_log_is_a_clear_error(tmp_path: Path) -> None:
@@ -258,3 +266,40 @@ def test_a_log_says_what_made_it(tmp_path: Path) -> None:
         metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
     assert "seed = 7" in metadata["experiment"]["experiment.toml"]
     assert {"python", "protocol", "numpy", "eclipse-zenoh"} <= set(metadata["versions"])
+
+
+def test_of_a_log_that_is_bounded_the_newest_is_kept_and_each_part_has_its_index(tmp_path: Path) -> None:
+    keep = 400_000
+    fabric = Fabric()
+    world = MemoryBus(fabric, BRAIN)
+    recorder = Recorder(MemoryBus(fabric, BRAIN), tmp_path, keep_bytes=keep)
+    publisher = world.publisher(keys.PAIR)
+    for i in range(3000):
+        publisher.put(pair(i))
+        recorder.step()
+    recorder.close()
+    segments = segments_of(tmp_path)
+    assert len(segments) > 2
+    assert sum(path.stat().st_size for path in segments) < keep
+    for path in segments:
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count > 0
+    kept = [getattr(r.message, "iteration", -1) for r in read_log(tmp_path)]
+    assert kept == list(range(kept[0], 3000))
+    assert len(kept) > 500
+
+
+def test_a_log_of_nothing_is_an_error_and_so_is_another_brains(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.stop()
+    with pytest.raises(EmptyLogError, match="no message can be read"):
+        list(read_log(tmp_path))
+    rig = Rig(tmp_path)
+    rig.say(keys.PAIR, pair(1))
+    rig.stop()
+    assert len(list(read_log(tmp_path, BRAIN))) == 1
+    with pytest.raises(EmptyLogError, match="no message of brain other"):
+        list(read_log(tmp_path, "other"))

@@ -11,6 +11,7 @@ from msgspec import structs
 from mdb_protocol import keys
 from mdb_protocol.errors import MdbError
 from mdb_protocol.messages import Scene
+from mdb_services.recorder import EmptyLogError
 from mdb_sim.figures.four_to_six import band, draw, draw_band
 from mdb_sim.runs.record import Episode
 from mdb_sim.runs.trajectories import captured, typical
@@ -59,14 +60,20 @@ def test_an_unfinished_run_says_where_its_log_ends(tmp_path: Path) -> None:
     assert "the log ends at 150" in text_of(paths[3])
 
 
-def test_a_run_of_which_nothing_is_known_is_drawn_with_a_note(tmp_path: Path) -> None:
+def test_a_run_of_which_little_is_known_is_drawn_with_notes_and_one_without_iterations_is_not(tmp_path: Path) -> None:
     log = Log(tmp_path / "run")
+    log.put(keys.ITERATION, structs.replace(report(0), prequential={}, feedback=None, note=None, event="none"))
     log.close()
     paths = draw(log.run)
     check_files(paths, log.run, NAMES, least_bytes=1000)
     assert "no data in this log" in text_of(paths[1])
     assert "no captures in this log" in text_of(paths[3])
     assert "no episode has ended in this log" in text_of(paths[5])
+    log = Log(tmp_path / "other")
+    log.put(keys.SCENE, scene(0))
+    log.close()
+    with pytest.raises(EmptyLogError, match="nothing to draw"):
+        draw(log.run)
 
 
 def test_of_another_machine_the_numbers_of_the_scene_are_drawn(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import NOTHING, CurrentModel, IterationReport, Message, Pair, Phase, Scene, Timing
 from mdb_services.experiment.reading import read_file
 from mdb_services.mechanism.networks.network import Network
-from mdb_services.recorder import Recorder
+from mdb_services.recorder import EmptyLogError, Recorder
 from mdb_sim.body import Numbers
 from mdb_sim.runs import measures
 from mdb_sim.runs.experiment import Experiment
@@ -344,8 +344,15 @@ def test_a_log_cut_short_is_measured_as_far_as_it_goes(tmp_path: Path, record: R
     assert "| – (–) |" in acceptance_table({1: rows})
 
 
-def test_a_log_without_any_message_has_no_measures(tmp_path: Path) -> None:
-    for row in rows_of(Log(tmp_path / "run").close()):
+def test_a_log_without_any_message_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(EmptyLogError, match="no message of brain"):
+        Log(tmp_path / "run").close()
+
+
+def test_a_log_without_any_iteration_has_no_measures(tmp_path: Path) -> None:
+    log = Log(tmp_path / "run")
+    log.put(keys.PHASE, Phase(iteration=0, name="a person", teacher="anna"))
+    for row in rows_of(log.close()):
         values = (row.iterations_to_error, row.pair_error, row.obedience, row.captures, row.ideal_captures)
         assert all(math.isnan(value) for value in values)
 

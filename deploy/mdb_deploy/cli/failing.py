@@ -14,6 +14,7 @@ from typing import TextIO, cast
 
 from mdb_deploy.cli.parsing import DISTRIBUTION, own_version
 from mdb_protocol.errors import MdbError
+from mdb_protocol.words import shown
 
 FAILED, INTERRUPTED, NOBODY_READS = 2, 130, 141
 UNEXPECTED = 70
@@ -57,7 +58,7 @@ def told(error: BaseException, extra: str) -> int:
         return NOBODY_READS
     line, status = _line(error, extra)
     with suppress(OSError, ValueError):
-        sys.stderr.write(f"mdb: {line}\n")
+        sys.stderr.write(f"mdb: {shown(line, lines=True)}\n")
     return status
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import platform
 import sys
+from collections.abc import MutableMapping
+from typing import Any
 
 import structlog
 
@@ -26,6 +28,7 @@ from mdb_deploy.cli import (
 )
 from mdb_deploy.cli.failing import let_go, told, unbreakable
 from mdb_deploy.cli.parsing import Parser, own_version
+from mdb_protocol.words import shown
 
 EPILOG = """\
 first steps:
@@ -50,7 +53,11 @@ def main(argv: list[str] | None = None) -> int:
         processors=[
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="%H:%M:%S.%f", utc=False),
-            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
+            structlog.processors.format_exc_info,
+            _words_shown,
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
+            ),
         ],
     )
     arguments, stdout = argparse.Namespace(), sys.stdout
@@ -74,6 +81,11 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         arguments.parser.refuse(words)
     arguments.words = words
     return arguments
+
+
+def _words_shown(_: object, __: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Let nothing in the log be more than words: a reason may be quoted from a message or a file."""
+    return {name: shown(value, lines=True) if isinstance(value, str) else value for name, value in event.items()}
 
 
 def _parser() -> argparse.ArgumentParser:

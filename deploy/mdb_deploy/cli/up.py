@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, content_of, keys_path
@@ -10,6 +11,9 @@ from mdb_deploy.cli.plot import draw
 from mdb_deploy.experiments import experiment_path
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
+
+NOTHING_DONE = 2
+"""Exit status of a run that ended well and of which no iteration is in the log."""
 
 
 def add(commands: Commands) -> None:
@@ -52,8 +56,7 @@ def _check_words(arguments: argparse.Namespace) -> None:
 
 
 def _up(arguments: argparse.Namespace) -> int:
-    from rich.console import Console
-
+    from mdb_deploy.running.console import console_of
     from mdb_deploy.running.processes import ENDPOINT_FILE
     from mdb_deploy.running.progress import Progress
     from mdb_deploy.running.up import (
@@ -65,6 +68,7 @@ def _up(arguments: argparse.Namespace) -> int:
         up_processes,
     )
     from mdb_services.experiment.brain import EXPERIMENT_FILE
+    from mdb_services.recorder import EmptyLogError
     from mdb_sim.runs.experiment import Experiment
 
     _check_words(arguments)
@@ -97,7 +101,7 @@ def _up(arguments: argparse.Namespace) -> int:
         await_robot=arguments.no_robot,
         connect=arguments.connect,
     )
-    console = Console(stderr=False)
+    console = console_of(sys.stdout)
     console.print(f"{section.name}: {section.iterations} iterations, {section.pace}, seed {section.seed}")
     where = arguments.connect or (f"$(cat {run / ENDPOINT_FILE})" if listen.endswith(":0") else listen)
     if arguments.no_robot:
@@ -109,6 +113,10 @@ def _up(arguments: argparse.Namespace) -> int:
     status = run_it(experiment, options, Progress(console, experiment))
     if not arguments.no_plot:
         console.print("drawing the figures")
-        draw([run], None)
+        try:
+            draw([run], None)
+        except EmptyLogError as error:
+            console.print(f"no figures: {error}", soft_wrap=True)
+            status = status or NOTHING_DONE
     console.print(f"results: {run}", soft_wrap=True)
     return status

@@ -133,7 +133,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
     run_folder = options.run
     experiment = Experiment.read(run_folder / EXPERIMENT_FILE)
     builders: dict[str, Callable[[Bus], Service]] = {
-        "recorder": lambda bus: _recorder(bus, run_folder),
+        "recorder": lambda bus: _recorder(bus, experiment, run_folder),
         "memory": lambda bus: _memory(bus, experiment, run_folder),
         EVOLVER: lambda bus: _evolver(bus, experiment, options.model),
         "optimizer": lambda bus: _optimizer(bus, experiment),
@@ -168,10 +168,10 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
     run(service, stop, run_folder)
 
 
-def _recorder(bus: Bus, run_folder: Path) -> Service:
+def _recorder(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:
     from mdb_services.recorder import Recorder
 
-    return Recorder(bus, run_folder)
+    return Recorder(bus, run_folder, keep_bytes=experiment.brain.log.keep_bytes)
 
 
 def _memory(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:

@@ -14,10 +14,13 @@ from rich.progress import Progress as Bar
 from rich.text import Text
 
 from mdb_protocol.messages import CurrentModel, IterationReport, Phase, Scene
+from mdb_protocol.words import shown
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.teaching.policy import obeyed
 
 RECENT = 40
+MOST_NAME = 64
+"""Characters of a name."""
 LINES = 10
 
 
@@ -59,11 +62,11 @@ class Progress:
         """A process is ready."""
         self._ready.append(name)
         if not self._console.is_terminal:
-            self._console.print(f"ready: {name}")
+            self._console.print(f"ready: {shown(name)}")
 
     def phase(self, phase: Phase) -> None:
         """A phase has begun."""
-        self._phase = phase.name
+        self._phase = shown(phase.name, MOST_NAME)
 
     def model(self, model: CurrentModel) -> None:
         """A model has learnt."""
@@ -72,7 +75,7 @@ class Progress:
     def report(self, report: IterationReport) -> None:
         """An iteration is done."""
         self._done = report.iteration + 1
-        self._mode = report.mode
+        self._mode = shown(report.mode, MOST_NAME)
         if (obeyed := self._is_obeyed(report)) is not None:
             self._obeyed.append(obeyed)
         for name, error in report.prequential.items():

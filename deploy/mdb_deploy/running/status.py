@@ -15,18 +15,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 
+from mdb_deploy.running.console import console_of, plain
 from mdb_protocol import codec, keys
 from mdb_protocol.bundle import brains_of
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import QueryError
 from mdb_protocol.messages import Status
+from mdb_protocol.words import shown
 from mdb_protocol.zenoh_bus import ZenohBus
 
 QUERY_S = 2.0
+MOST_CELL = 140
+"""Characters of a cell: the longest name of a service."""
 NOBODY = "nobody"
 """The brain of a bus that only asks which brains there are."""
 COLUMNS = ("service", "pid", "up", "msg/s", "queue", "behind", "refused", "dropped", "memory")
@@ -116,14 +120,15 @@ def show_status(
 
     Without a brain's name all brains of the router are shown. Return 1 when nobody lives.
     """
+    console = console_of(sys.stdout)
     with ExitStack() as opened:
         asked = Asked(connect, credentials, opened)
         if as_json:
             found = _repeat(asked, brain, lambda found: _print_all(found, connect), every_s)
         elif every_s is None:
-            found = _repeat(asked, brain, lambda found: Console().print(_tables(found, connect)), None)
+            found = _repeat(asked, brain, lambda found: console.print(_tables(found, connect)), None)
         else:
-            live = opened.enter_context(Live(console=Console(), auto_refresh=False))
+            live = opened.enter_context(Live(console=console, auto_refresh=False))
             found = _repeat(asked, brain, lambda found: live.update(_tables(found, connect), refresh=True), every_s)
     return 0 if any(found.values()) else 1
 
@@ -171,7 +176,7 @@ def _print_all(found: Found, connect: str) -> None:
 
 def _tables(found: Found, connect: str) -> RenderableType:
     if not found:
-        return f"nobody is alive at {connect}"
+        return plain(f"nobody is alive at {connect}")
     return Group(*(_table(rows, f"mdb/{brain} at {connect}") for brain, rows in found.items()))
 
 
@@ -183,11 +188,11 @@ def _print_json(rows: list[Row], brain: str, connect: str) -> None:
 
 def _table(rows: list[Row], where: str) -> RenderableType:
     if not rows:
-        return f"nobody is alive in {where}"
-    table = Table(title=where, box=None, padding=(0, 1, 0, 0), pad_edge=False)  # fits a terminal of 80 columns
+        return plain(f"nobody is alive in {where}")
+    table = Table(title=plain(where), box=None, padding=(0, 1, 0, 0), pad_edge=False)  # fits a terminal of 80 columns
     for column in COLUMNS:
         table.add_column(column, justify="left" if column == "service" else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*row.cells())
+        table.add_row(*(plain(shown(cell, MOST_CELL)) for cell in row.cells()))
     below = [row.figures() for row in rows] + [line for row in rows for line in row.counts()]
-    return Group(table, *below)
+    return Group(table, *(plain(shown(line)) for line in below))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import fcntl
+import os
 import signal
 import time
 from collections.abc import Iterator
@@ -75,6 +76,13 @@ def new_run_folder(base: Path, name: str, seed: int) -> Path:
             folder.mkdir(parents=True)
             return folder
     raise MdbError(f"cannot make a new run folder in {base}: a thousand of this second exist")
+
+
+def writable(run: Path, name: str = "") -> Path:
+    """Return where what is made of a run goes: into its folder, or beside us where that is another's or read-only."""
+    if os.access(run, os.W_OK):
+        return run / name
+    return Path("-".join(part for part in (run.resolve().name, name) if part))
 
 
 def up_inline(experiment: Experiment, options: UpOptions, progress: Progress) -> int:

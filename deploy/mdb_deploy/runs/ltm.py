@@ -14,17 +14,24 @@ from pathlib import Path
 import msgspec
 import structlog
 
-from mdb_protocol import codec
+from mdb_protocol import codec, files
 from mdb_protocol.errors import ConfigError, DamageError, DecodeError, MdbError
 from mdb_protocol.messages import LongTermFile, LongTermModel
+from mdb_protocol.words import shown
 from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.mechanism.networks.network import Network
 from mdb_services.memory.file import MemoryFile
+from mdb_services.memory.model_memory import ModelMemory
+from mdb_services.memory.reading import opened
 from mdb_services.memory.rescue import survey
 from mdb_sim.runs.experiment import Experiment
 
 log = structlog.get_logger()
 
+MOST_CELL = 200
+"""Characters of a cell of a table."""
+MOST_HEAD = 1024
+"""Bytes of the line before the payload, and its end."""
 SHOWN_PAIRS = 10
 """Pairs of a model's sample that `show` prints."""
 
@@ -32,6 +39,11 @@ SHOWN_PAIRS = 10
 def read(source: Path, names: Sequence[str] = ()) -> list[LongTermModel]:
     """Return the models of a source, those with the given names if any; MdbError when there are none."""
     models = _read_run(source) if source.is_dir() else _read_file(source)
+    for model in models:
+        try:
+            Network.from_arrays(model.layers, model.weights)
+        except ValueError as error:
+            raise DamageError(f"model {model.model}/{model.id} of {source} is no network: {error}") from error
     if not names:
         return models
     for name in names:
@@ -47,27 +59,37 @@ def _is(model: LongTermModel, name: str) -> bool:
 
 def _read_run(run: Path) -> list[LongTermModel]:
     path = run / MEMORY_FILE
-    if not path.is_file():
+    if not path.exists():
         raise MdbError(f"no {MEMORY_FILE} in {run}; give the folder that 'mdb up' named at its end")
     try:
-        with MemoryFile(path) as file:
-            return _long_term(file)
+        return _long_term(path)
     except DamageError as error:
         models = survey(path, Experiment.read(run / EXPERIMENT_FILE).brain).long_term
+        if not models:
+            raise
         log.warning("the memory file is damaged; these are the models that can be read", reason=str(error))
         return models
 
 
-def _long_term(file: MemoryFile) -> list[LongTermModel]:
+def _long_term(path: Path) -> list[LongTermModel]:
+    encoding = codec.encoding_of(LongTermModel)
     try:
-        return file.long_term()
+        with opened(path) as file:
+            rows = file.rows("SELECT payload FROM long_term ORDER BY model, id")
+            return [codec.decode(LongTermModel, _bytes(payload), encoding) for (payload,) in rows]
     except (sqlite3.Error, DecodeError) as error:
-        raise file.unusable(error) from error
+        raise DamageError(f"{path} is not a memory of a brain, or is damaged: {error}") from error
+
+
+def _bytes(payload: object) -> bytes:
+    if not isinstance(payload, bytes):
+        raise DecodeError(f"a model is {type(payload).__name__}; expected bytes")
+    return payload
 
 
 def _read_file(path: Path) -> list[LongTermModel]:
     try:
-        encoding, _, payload = path.read_bytes().partition(b"\n")
+        encoding, _, payload = files.content(path, codec.MAX_BYTES + MOST_HEAD).partition(b"\n")
         return codec.decode(LongTermFile, payload, encoding.decode("ascii", "replace")).models
     except OSError as error:
         raise MdbError(
@@ -83,6 +105,10 @@ def export(source: Path, names: Sequence[str], out: Path) -> int:
     if not models:
         raise MdbError(f"the long-term memory of {source} is empty: nothing to export")
     payload = codec.encode(LongTermFile(models=models))
+    if len(payload) > codec.MAX_BYTES:
+        raise MdbError(
+            f"{len(models)} models are too much for one file; name some: mdb ltm export {source} MODEL ..."
+        )
     out.write_bytes(codec.encoding_of(LongTermFile).encode() + b"\n" + payload)
     return len(models)
 
@@ -111,11 +137,20 @@ def bring(source: Path, names: Sequence[str], run: Path) -> int:
         file.keep_long_term(brought)
         begun = file.count() > 0
     if not begun:
-        shutil.copy(run / MEMORY_FILE, run / BEGINNING_FILE)
+        shutil.copyfile(run / MEMORY_FILE, run / BEGINNING_FILE)
     return len(models)
 
 
 def _check_fits(model: LongTermModel, experiment: Experiment) -> None:
+    _check_room(model, experiment)
+    if not ModelMemory(experiment.brain, experiment.brain.model_named(model.model)).knows(model):
+        raise MdbError(
+            f"model {model.model}/{model.id} does not fit this experiment: its network of {model.layers} or its "
+            f"{len(model.pairs)} pairs are not of what it reads"
+        )
+
+
+def _check_room(model: LongTermModel, experiment: Experiment) -> None:
     section = experiment.brain.model_named(model.model)
     own = experiment.brain.reads(section)
     differ = [
@@ -144,8 +179,8 @@ def listing(models: Iterable[LongTermModel]) -> str:
     for model in models:
         rows.append((
             f"{model.model}/{model.id}", f"{model.error:.4f}", f"{model.uses}", f"{len(model.pairs)}",
-            "-".join(map(str, model.layers)), f"{model.iteration}", f"{model.experiment} seed {model.seed}",
-            model.origin or "this run",
+            "-".join(map(str, model.layers)), f"{model.iteration}",
+            f"{shown(model.experiment, MOST_CELL)} seed {model.seed}", shown(model.origin or "this run", MOST_CELL),
         ))  # fmt: skip
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return "\n".join("  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
@@ -153,9 +188,8 @@ def listing(models: Iterable[LongTermModel]) -> str:
 
 def show(model: LongTermModel) -> str:
     """Return all that is known of a model: where it comes from, what it reads, a part of its sample."""
-    Network.from_arrays(model.layers, model.weights)
     lines = [listing([model]), "", "reads"]
-    lines += [f"  {name}: {meaning}" for name, meaning in model.reads.items()]
+    lines += [f"  {shown(name)}: {shown(meaning)}" for name, meaning in model.reads.items()]
     lines += ["", f"pairs of its context ({min(len(model.pairs), SHOWN_PAIRS)} of {len(model.pairs)})"]
     for pair in model.pairs[:SHOWN_PAIRS]:
         before = ", ".join(f"{name} {value:.3g}" for name, value in pair.before.items())

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_deploy.experiments import experiment_path
-from mdb_deploy.running.up import new_run_folder
+from mdb_deploy.running.up import new_run_folder, writable
 from mdb_protocol.errors import MdbError
 from mdb_protocol.messages import IterationReport
 from mdb_services.experiment.brain import EXPERIMENT_FILE
-from mdb_services.recorder import read_log
+from mdb_services.recorder import EmptyLogError, read_log
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.inline import run_experiment
 from mdb_sim.runs.record import RunRecord, record_of
@@ -102,11 +102,16 @@ class Run:
         return _arrow().table(self._columns(name))
 
     def export(self, to: Literal["parquet", "csv"] = "csv", folder: str | Path | None = None) -> list[Path]:
-        """Write all tables into a folder (`tables` in the run's own) and return the files."""
+        """Write all tables into a folder and return the files.
+
+        Without a folder that is `tables` in the run's own, or RUN-tables in this one where the run's takes nothing.
+        """
         if to not in ("parquet", "csv"):
             raise MdbError(f"to={to!r}: no such kind of file; expected 'parquet' or 'csv'")
-        there = self.path / EXPORTED if folder is None else Path(folder)
+        there = writable(self.path, EXPORTED) if folder is None else Path(folder)
         tables = self._read[1]
+        if not any(column for columns in tables.values() for column in columns.values()):
+            raise EmptyLogError(f"nothing for a table is in the run log of {self.path}: no file is written")
         write = _write_csv if to == "csv" else _parquet_writer()
         there.mkdir(parents=True, exist_ok=True)
         files = {there / f"{name}.{to}": tables[name] for name in TABLES}
@@ -125,8 +130,9 @@ class Run:
             raise MdbError(
                 f"{self.path} is no run folder: it has no {EXPERIMENT_FILE}; give the one that a run named"
             )
-        log = list(read_log(self.path))
-        record = record_of(self.path, Experiment.read(self.path / EXPERIMENT_FILE), log)
+        experiment = Experiment.read(self.path / EXPERIMENT_FILE)
+        log = list(read_log(self.path, experiment.brain.experiment.brain))
+        record = record_of(self.path, experiment, log)
         return record, tables_of(record, log)
 
 

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
+
 from mdb_deploy.experiments import experiment_path
 from mdb_deploy.studies import sweep
 from mdb_deploy.studies.sweep import Outcome, Sweep
@@ -27,7 +29,7 @@ from mdb_sim.verdicts.acceptance import acceptance_table, failures, judge
 MISSED = 1
 FAILED = 3
 """Exit status when a run failed."""
-_OTHER_FORM = (KeyError, TypeError, ValueError)
+_OTHER_FORM = (KeyError, TypeError, ValueError, OSError, OverflowError, msgspec.MsgspecError)
 """What comes of a file whose columns are not those of a `PhaseRow`."""
 
 
@@ -41,8 +43,9 @@ def accept(wanted: Sweep) -> int:
     sys.stdout.write(table)
     if outcome.failed or not seeds:
         return FAILED
-    met = all(criterion.met for criterion in judge(seeds)) and not failures(seeds)[0]
-    return 0 if met else MISSED
+    criteria = judge(seeds)
+    met = all(criterion.met for criterion in criteria) and not failures(seeds)[0]
+    return 0 if met and criteria else MISSED
 
 
 def study(which: Study, wanted: Sweep) -> int:
@@ -75,7 +78,12 @@ def report(folder: Path, out: Path) -> int:
     results.need_pyarrow()
     if not folder.is_dir():
         raise MdbError(f"--results {folder}: no such folder; expected one that 'mdb study NAME --out' has written")
-    for path in document.write(_read(folder), out, _variants()):
+    found = _read(folder)
+    if not found:
+        raise MdbError(
+            f"--results {folder}: no results in it; expected a folder that 'mdb study NAME --out' has written"
+        )
+    for path in document.write(found, out, _variants()):
         sys.stderr.write(f"{path}\n")
     return 0
 
@@ -94,7 +102,7 @@ def _read(folder: Path) -> list[Result]:
 
 def _readable(path: Path) -> bool:
     try:
-        results.decode(path.read_bytes())
+        results.decode(results.content(path))
     except _OTHER_FORM:
         return False
     return True

@@ -20,7 +20,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mdb_deploy.experiments import experiment_path
+from mdb_deploy.running.console import console_of
 from mdb_deploy.studies import workers as processes
+from mdb_protocol import words
 from mdb_protocol.errors import ConfigError, MdbError
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.studies import results, running, tables
@@ -128,7 +130,7 @@ def _called(variant: Variant) -> set[str]:
 def run(tasks: Sequence[Task], sweep: Sweep, console: Console | None = None) -> Outcome:
     """Do the runs that have no result yet and write theirs, each as soon as it is there."""
     results.need_pyarrow()
-    console = console or Console(file=sys.stderr)
+    console = console or console_of(sys.stderr)
     missing = _missing(tasks, sweep)
     outcome = Outcome(there=len(tasks) - len(missing))
     if outcome.there:
@@ -151,7 +153,7 @@ def results_of(tasks: Sequence[Task], folder: Path) -> list[Result]:
     """Return the results of these runs, in their order, without those that failed: a file of another run is none."""
     there = {path: label.fingerprint for path, label in results.labels(folder)}
     paths = [(folder / task.label.path, task.label.fingerprint) for task in tasks]
-    return [results.decode(path.read_bytes()) for path, made_of in paths if there.get(path) == made_of]
+    return [results.decode(results.content(path)) for path, made_of in paths if there.get(path) == made_of]
 
 
 def _name(task: Task) -> str:
@@ -171,7 +173,7 @@ def _missing(tasks: Sequence[Task], sweep: Sweep) -> list[Task]:
         if not paths or (task.keep is not None and not Path(task.keep).exists()):
             missing.append(task)
         elif sweep.out / task.label.path not in paths:
-            results.write(sweep.out, results.relabelled(paths[0].read_bytes(), task.label), task.label)
+            results.write(sweep.out, results.relabelled(results.content(paths[0]), task.label), task.label)
     return missing
 
 
@@ -262,11 +264,11 @@ class _Shown:
         self._ended += 1
         self.bar.advance(self._task)
         if self._console.is_terminal:
-            self.bar.console.print(text, markup=False)
+            self.bar.console.print(words.shown(text, lines=True))
             return
         left_s = (time.monotonic() - self._began_s) / self._ended * (self._total - self._ended)
         line = f"[{self._ended}/{self._total}] {text}; about {left_s / 60:.0f} min left"
-        self._console.print(line, markup=False, soft_wrap=True, highlight=False)
+        self._console.print(words.shown(line), markup=False, soft_wrap=True, highlight=False)
 
 
 @contextmanager

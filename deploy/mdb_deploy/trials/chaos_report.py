@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mdb_deploy.trials.witness import Findings
+from mdb_deploy.trials.evidence import Findings
 from mdb_protocol import keys
 from mdb_services.recorder import read_log
 
@@ -21,6 +21,8 @@ MEDIAN_S, P99_S = 1.5, 4.0
 """What recovery must not exceed."""
 BY_A_LOT = 2.0
 """Beyond the bounds times this the command fails: a loaded machine alone does not do it."""
+TOLD = 20
+"""Damages that are named."""
 ENDS = (0, 130)
 """Status of a brain that finished, or was interrupted by us."""
 
@@ -140,14 +142,18 @@ class Report:
                 "",
                 "| promise | found | |",
                 "|---|--:|---|",
-                f"| acknowledged pairs lost: 0 | {len(told.lost)} of {told.acknowledged} | {yes(not told.lost)} |",
+                f"| acknowledged pairs lost: 0 | {len(told.lost)} of {told.acknowledged} | "
+                f"{yes(told.acknowledged > 0 and not told.lost)} |",
                 f"| altered: 0 | {len(told.altered)} | {yes(not told.altered)} |",
                 f"| counted twice: 0 | {len(told.doubled)} | {yes(not told.doubled)} |",
+                f"| else damaged: 0 | {len(told.damaged)} | {yes(not told.damaged)} |",
                 f"| actions without a commander: 0 | {self.moved_alone} | {yes(not self.moved_alone)} |",
                 f"| recovery, median < {MEDIAN_S:g} s | {self.total.median_s:.2f} s | "
                 f"{yes(self.total.median_s < MEDIAN_S)} |",
                 f"| recovery, p99 < {P99_S:g} s | {self.total.p99_s:.2f} s | {yes(self.total.p99_s < P99_S)} |",
                 "",
+                *([f"Damaged: {'; '.join(told.damaged[:TOLD])}.", ""] if told.damaged else []),
+                f"Checked: {', '.join(f'{count} {what}' for what, count in told.checked.items()) or 'nothing'}. "
                 f"Iterations that were never stored: {len(told.missing)}. Acknowledgements that the witness missed: "
                 f"{told.stored - told.acknowledged + len(told.lost)}. Iterations whose report is in the run's log: "
                 f"{self.logged} of {told.stored}; the rest happened while nobody recorded.",

@@ -21,8 +21,8 @@ import psutil
 from numpy.typing import NDArray
 
 from mdb_deploy.trials.chaos_report import yes
+from mdb_deploy.trials.evidence import Findings, compare
 from mdb_deploy.trials.under_test import BrainUnderTest, long_experiment, stop_on_sigterm
-from mdb_deploy.trials.witness import Findings, compare
 from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_sim.figures.four_to_six import need_matplotlib, save
 

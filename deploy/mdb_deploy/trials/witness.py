@@ -1,4 +1,5 @@
-"""The witness: a process outside the brain that writes down what is acknowledged, to compare it with the memory.
+"""The witness: a process outside the brain that writes down what is acknowledged; `evidence` holds it against the
+memory.
 
 Owns its own file, and nothing of the run's. Never speaks. What a router's death kept from it, its subscriptions
 fetch from the publishers afterwards; what it has not heard it does not claim.
@@ -11,13 +12,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sqlite3
 import sys
-from collections import defaultdict
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import Bus
@@ -26,22 +22,38 @@ from mdb_protocol.keys import Key
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.shell.service import Stopper
 
-Plain = dict[str, Any]
-
 WAIT_S = 0.05
-HEARD: tuple[Key, ...] = (keys.PAIR_STORED, keys.PAIR)
+HEARD: tuple[Key, ...] = (keys.PAIR_STORED, keys.PAIR, keys.MEMORY_CHANGE, keys.CONTEXT, keys.CURRENT_MODEL)
+"""The memory store says what it says after it is on disk; a pair is what the optimizer wants stored, and a model what
+an evolver does."""
+
+
+def line_of(row: Key, message: messages.Message) -> str:
+    """Return what is written of a message: all that the memory must have of it."""
+    match message:
+        case messages.MemoryChange():
+            slots = [*zip(message.slots.tolist(), message.pairs.tolist(), strict=True)]
+            slots += [(slot, None) for slot in message.freed.tolist()]
+            says: object = {
+                "model": message.model, "version": message.version, "slots": slots, "seeds": len(message.seeds),
+            }  # fmt: skip
+        case messages.CurrentModel():
+            says = {"model": message.model, "version": message.version}
+        case _:
+            says = codec.to_plain(message)
+    return json.dumps({"key": row.path, "says": says})
 
 
 def write_down(bus: Bus, out: Path, stop: Stopper) -> None:
-    """Write every pair and acknowledgement that comes, a line of JSON each, on disk before the next is waited for."""
-    inboxes = {row.path: bus.subscriber(row) for row in HEARD}
+    """Write what comes of `HEARD`, a line of JSON each, on disk before the next is waited for."""
+    inboxes = {row: bus.subscriber(row) for row in HEARD}
     with out.open("a", encoding="utf-8") as file:
         while True:
             over = stop()  # what has come before is still written
             came = False
-            for path, inbox in inboxes.items():
+            for row, inbox in inboxes.items():
                 while (message := inbox.take()) is not None:
-                    file.write(json.dumps({"key": path, "says": codec.to_plain(message)}) + "\n")
+                    file.write(line_of(row, message) + "\n")
                     came = True
             if came:
                 file.flush()
@@ -49,93 +61,6 @@ def write_down(bus: Bus, out: Path, stop: Stopper) -> None:
             if over:
                 return
             bus.wait(WAIT_S)
-
-
-@dataclass(frozen=True)
-class Findings:
-    """What the witness's file and the memory say of each other; every list holds iterations."""
-
-    acknowledged: int
-    """Iterations whose acknowledgement the witness has heard."""
-    stored: int
-    """Pairs in the memory."""
-    lost: list[int]
-    """Acknowledged, but not in the memory."""
-    altered: list[int]
-    """Acknowledged and heard, but in the memory with another content, or without the feedback it was stored with."""
-    doubled: list[int]
-    """Twice in a model's short-term memory's history, or the same as the pair before: one action counted twice."""
-    missing: list[int]
-    """Never stored, though a later one is."""
-
-    @property
-    def holds(self) -> bool:
-        """Whether everything acknowledged is there, once, as it was."""
-        return not (self.lost or self.altered or self.doubled)
-
-
-def compare(witness: Path, memory: Path) -> Findings:
-    """Compare a witness's file with a memory store's; MdbError when one of them cannot be read."""
-    heard, judged = _heard(witness)
-    try:
-        with sqlite3.connect(f"file:{memory}?mode=ro", uri=True) as db:
-            pairs = _pairs(db)
-            entered_twice = {row[0] for row in db.execute(ENTERED_TWICE)}
-    except sqlite3.Error as error:
-        raise MdbError(f"cannot compare with {memory}: {error}") from error
-    lost = [iteration for iteration in judged if iteration not in pairs]
-    altered = [
-        iteration
-        for iteration, was_judged in judged.items()
-        if (pair := pairs.get(iteration)) is not None
-        and ((heard[iteration] and pair not in heard[iteration]) or (was_judged and pair["feedback"] is None))
-    ]
-    repeated = {i for i, pair in pairs.items() if i - 1 in pairs and _same_act(pairs[i - 1], pair)}
-    return Findings(
-        acknowledged=len(judged),
-        stored=len(pairs),
-        lost=sorted(lost),
-        altered=sorted(altered),
-        doubled=sorted(entered_twice | repeated),
-        missing=[iteration for iteration in range(max(pairs, default=-1)) if iteration not in pairs],
-    )
-
-
-ENTERED_TWICE = "SELECT pair FROM change WHERE pair >= 0 GROUP BY model, pair HAVING count(*) > 1"
-
-
-def _heard(witness: Path) -> tuple[dict[int, list[Plain]], dict[int, bool]]:
-    """Return the pairs heard for each iteration, and for each that was acknowledged whether with its feedback."""
-    pairs: dict[int, list[Plain]] = defaultdict(list)
-    judged: dict[int, bool] = {}
-    for line in _lines(witness):
-        says = line["says"]
-        iteration = says["iteration"]
-        if line["key"] == keys.PAIR.path:
-            pairs[iteration].append(says)
-        else:
-            judged[iteration] = judged.get(iteration, False) or says["judged"]
-    return pairs, judged
-
-
-def _lines(witness: Path) -> Iterator[Plain]:
-    try:
-        text = witness.read_text(encoding="utf-8")
-    except OSError as error:
-        raise MdbError(f"the witness has left nothing: {error}") from error
-    whole = text.rpartition("\n")[0]  # a witness that was killed may have left half a line
-    yield from map(json.loads, whole.splitlines())
-
-
-def _pairs(db: sqlite3.Connection) -> dict[int, Plain]:
-    encoding = codec.encoding_of(messages.Pair)
-    rows = db.execute("SELECT iteration, payload FROM pair ORDER BY iteration")
-    return {i: codec.to_plain(codec.decode(messages.Pair, payload, encoding)) for i, payload in rows}
-
-
-def _same_act(a: Plain, b: Plain) -> bool:
-    """Whether two pairs tell of one act: sensors are noisy, so two acts read the same only where nothing is seen."""
-    return bool(a["before"]) and all(a[name] == b[name] for name in ("before", "action", "after"))
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -23,6 +23,7 @@ from mdb_services.experiment.sections import (
     EarSection,
     EvolverSection,
     ExperimentSection,
+    LogSection,
     ModelSection,
     ModeSection,
     Name,
@@ -64,6 +65,7 @@ class BrainConfig(msgspec.Struct, frozen=True, kw_only=True):
     optimizer: OptimizerSection = msgspec.field(default_factory=OptimizerSection)
     evolver: EvolverSection = msgspec.field(default_factory=EvolverSection)
     store: StoreSection = msgspec.field(default_factory=StoreSection)
+    log: LogSection = msgspec.field(default_factory=LogSection)
     ear: EarSection | None = None
     learner: dict[str, Any] = {}
     evolution: dict[str, Any] = {}

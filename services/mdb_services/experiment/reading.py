@@ -15,11 +15,17 @@ from typing import Any, TypeVar
 import msgspec
 from msgspec import inspect
 
-from mdb_protocol.errors import ConfigError
+from mdb_protocol import files
+from mdb_protocol.errors import ConfigError, DamageError
 
 T = TypeVar("T")
 UNLISTED = re.compile(r"Invalid enum value '(.*)' - at `\$(.*)`", re.DOTALL)
 """What msgspec says of a word that is none of a list: the word, and where."""
+
+MOST_BYTES = 2**20
+"""Of an experiment file; those that are shipped have 3 to 9 kB."""
+MOST_NAMES = 100
+"""In one key, as in a.b.c."""
 
 
 def read_file(path: Path, overrides: Iterable[str] = ()) -> dict[str, Any]:
@@ -29,16 +35,28 @@ def read_file(path: Path, overrides: Iterable[str] = ()) -> dict[str, Any]:
     Raises ConfigError when the file cannot be read or an override cannot be applied.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        content = _parsed(files.content(path, MOST_BYTES).decode("utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"cannot read the experiment file {path}: {error.strerror}") from error
+    except DamageError as error:
+        raise ConfigError(f"{error}: an experiment in TOML") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path} is not text in UTF-8 ({error}); save it as UTF-8") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also numbers and nests that Python has no room for
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
     for override in overrides:
         _override(content, override)
     return content
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    """Return what TOML holds; ValueError when it is none, or has a key that takes the parser minutes (n² names)."""
+    for piece in text.split("="):
+        key = re.split(r"[,{\n]", piece)[-1]
+        heads = (line for line in piece.splitlines() if line.lstrip().startswith("["))
+        if max(part.count(".") for part in (key, *heads)) > MOST_NAMES:
+            raise ValueError(f"a key of more than {MOST_NAMES} names")
+    return tomllib.loads(text)
 
 
 def convert(section: Mapping[str, Any], cls: type[T], source: object) -> T:
@@ -67,8 +85,8 @@ def _override(content: dict[str, Any], override: str) -> None:
     if not equals or not all(names):
         raise ConfigError(f"--set {override!r}: expected SECTION.NAME=VALUE, as in evolution.population=400")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        value = _parsed(f"value = {text}")["value"]
+    except (ValueError, RecursionError):
         value = text.strip()
     place: Any = content
     for i, name in enumerate(names[:-1]):

@@ -193,6 +193,18 @@ class EvolverSection(Section, frozen=True, kw_only=True):
     """Memory versions between two checkpoints: so many are learnt again, at most, after a crash."""
 
 
+class LogSection(Section, frozen=True, kw_only=True):
+    """`[log]`: how much of the run log is kept; figures and replays are then of what is left."""
+
+    keep_mb: Annotated[float, Meta(ge=1, le=1e9)] | None = None
+    """The newest so many megabytes (1e6 bytes); without it all, about 17 a thousand iterations of the paper's."""
+
+    @property
+    def keep_bytes(self) -> int | None:
+        """The same in bytes."""
+        return None if self.keep_mb is None else int(self.keep_mb * 1e6)
+
+
 class StoreSection(Section, frozen=True, kw_only=True):
     """`[store]`: how safe the memory store's file and the robot's state are."""
 

@@ -5,15 +5,19 @@ Owns `memory.sqlite` of a run (SQLite, write-ahead log). Decides nothing: `model
 
 from __future__ import annotations
 
+import fcntl
+import os
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from mdb_protocol import codec, messages
-from mdb_protocol.errors import DamageError, DecodeError, MdbError
+from mdb_protocol import codec, files, messages
+from mdb_protocol.errors import DamageError, DecodeError, MdbError, TakenError
+from mdb_services.memory.reading import foreign, guard, log_of
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS pair (
@@ -43,6 +47,10 @@ PAGE = 4096
 """Bytes of SQLite's pages, unless it is told otherwise."""
 DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
 """What SQLite says of a file that is damaged, or is another database; the rest is the disk or the system."""
+HOLD_S = 1.0
+"""How long a file is waited for that another process has; one that is killed is gone sooner."""
+LOCK_ENDING = "-lock"
+"""Of the name of the file beside a memory file that its writer holds."""
 STEPS_KEPT = 1000
 """Changes of a memory that are kept for an evolver that makes no checkpoint."""
 
@@ -84,15 +92,29 @@ class MemoryFile:
     """See the module's docstring."""
 
     def __init__(self, path: Path, *, power_safe: bool = False) -> None:
-        """Open or create; DamageError when the file cannot be used, as far as SQLite can tell.
+        """Open or create, to write; DamageError when the file cannot be used, as far as SQLite can tell.
+
+        One process at a time has it: MdbError when another does. To look into it there is `reading`.
 
         What was written survives the death of this process; with `power_safe` (SQLite's synchronous mode FULL instead
         of NORMAL) also a loss of power, for a disk's round trip a pair.
         """
         self._path = path
+        self._lock = _hold(path)
+        try:
+            self._open(power_safe=power_safe)
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    def _open(self, *, power_safe: bool) -> None:
+        path = self._path
         self._check_length()
         try:
             self._db = sqlite3.connect(path, isolation_level=None)
+            guard(self._db)
+            if (reason := foreign(self._db)) is not None:
+                raise self.unusable(reason)
             (found,) = self._db.execute("PRAGMA quick_check(1)").fetchone()
             if found != "ok":
                 raise self.unusable(str(found).replace("\n", " "))
@@ -103,10 +125,7 @@ class MemoryFile:
         except sqlite3.Error as error:
             if error.sqlite_errorcode & 0xFF in DAMAGE:
                 raise self.unusable(error) from error
-            raise MdbError(
-                f"{path} cannot be opened: {error}. Is the disk full, or the folder not yours? If it is in the way, "
-                "move it away to start with an empty memory"
-            ) from error
+            raise _unopened(path, error) from error
         if "choice" not in columns:
             self._db.close()
             raise MdbError(
@@ -115,8 +134,18 @@ class MemoryFile:
             )
 
     def _check_length(self) -> None:
-        """Raise DamageError for what SQLite mends in silence: it removes a log beside an empty file, and so on."""
-        log = self._path.with_name(f"{self._path.name}-wal")
+        """See that it is a file, and whole.
+
+        Raise DamageError for what SQLite mends in silence: it removes a log beside an empty file, and so on."""
+        log = log_of(self._path)
+        for path in (self._path, log):
+            try:
+                with files.opened(path, None):
+                    pass
+            except FileNotFoundError:
+                continue
+            except DamageError as error:
+                raise self.unusable(error) from error
         bytes_, logged = (path.stat().st_size if path.is_file() else 0 for path in (self._path, log))
         if logged and not bytes_:
             raise self.unusable("it is empty, but its write-ahead log is not")
@@ -335,3 +364,36 @@ class MemoryFile:
     def close(self) -> None:
         """Close the file."""
         self._db.close()
+        os.close(self._lock)
+
+
+def _unopened(path: Path, error: Exception) -> MdbError:
+    return MdbError(
+        f"{path} cannot be opened: {error}. Is the disk full, or the folder not yours, or gone? If it is in the way, "
+        "move it away to start with an empty memory"
+    )
+
+
+def _hold(path: Path) -> int:
+    """Hold a memory file until the descriptor that is returned is closed, or this process dies, however it does.
+
+    One that another process has is waited for as long as one that is being killed may take to be gone.
+    """
+    deadline = time.monotonic() + HOLD_S
+    try:
+        lock = os.open(path.with_name(f"{path.name}{LOCK_ENDING}"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise _unopened(path, error) from error
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() < deadline:
+                time.sleep(HOLD_S / 20)
+                continue
+            os.close(lock)
+            raise TakenError(
+                f"another process writes {path}: a brain that runs. Stop it first, with Ctrl-C in its 'mdb up'; "
+                f"'mdb up --resume {path.parent}' goes on afterwards"
+            ) from None
+        return lock

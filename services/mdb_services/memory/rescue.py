@@ -7,7 +7,6 @@ Checkpoints are left behind: evolvers begin with the last current model instead.
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator
@@ -21,15 +20,17 @@ from typing import Any, TypeVar
 import msgspec
 
 from mdb_protocol import codec, messages
-from mdb_protocol.errors import DecodeError, MdbError
+from mdb_protocol.errors import DamageError, DecodeError, MdbError
 from mdb_protocol.messages import Message
 from mdb_services.experiment.brain import BrainConfig
 from mdb_services.memory.file import PAGE, SCHEMA, Effects, MemoryFile
 from mdb_services.memory.model_memory import ModelMemory
+from mdb_services.memory.reading import Reader, Row, copy, foreign, held
 
 M = TypeVar("M", bound=Message)
-Row = tuple[Any, ...]
 
+MOST_S = 30.0
+"""Processor time that is spent on one file; some ten times what a large one takes."""
 KINDS: dict[str, tuple[type | UnionType, ...]] = {
     "change": (str, int, int, int | None, float | None),
     "context": (str, int, int, int),
@@ -53,6 +54,11 @@ class Salvage:
     def missing(self) -> int:
         """Pairs that could not be read, before the last that could."""
         return max(self.pairs) + 1 - len(self.pairs) if self.pairs else 0
+
+    @property
+    def nothing(self) -> bool:
+        """Whether there is nothing that a run could go on with."""
+        return not (self.pairs or self.long_term or self.models)
 
     def words(self) -> str:
         """Return in words how much it is."""
@@ -85,7 +91,7 @@ def survey(path: Path, config: BrainConfig) -> Salvage:
     return found
 
 
-def _survey_memory(db: sqlite3.Connection, name: str, found: Salvage) -> None:
+def _survey_memory(db: Reader, name: str, found: Salvage) -> None:
     """Take a model's short-term memory, if nothing of it is lost."""
     recalled = _at_once(db, "SELECT id, payload FROM recalled")
     tables = {table: _at_once(db, f"SELECT * FROM {table} WHERE model = ?", name) for table in KINDS}
@@ -137,16 +143,21 @@ def _refill(file: MemoryFile, config: BrainConfig, found: Salvage) -> None:
                 file.add(pair, stored, [effects])
 
 
-def _at_once(db: sqlite3.Connection, sql: str, *given: object) -> list[Row] | None:
+def _at_once(db: Reader, sql: str, *given: object) -> list[Row] | None:
     """Return rows, or None when one of them cannot be read."""
     try:
-        return db.execute(sql, given).fetchall()
-    except sqlite3.Error:
+        return list(db.rows(sql, *given))
+    except (sqlite3.Error, DamageError):
         return None
 
 
-def _by_halves(db: sqlite3.Connection, sql: str, given: Row, low: int, high: int) -> list[Row]:
-    """Return what can be read of rows whose key is from `low` to `high`, the last two parameters of `sql`."""
+def _by_halves(db: Reader, sql: str, given: Row, low: int, high: int) -> list[Row]:
+    """Return what can be read of rows whose key is from `low` to `high`, the last two parameters of `sql`.
+
+    A file that takes too long is left where it is by then.
+    """
+    if db.spent_s > MOST_S:
+        return []
     rows = _at_once(db, sql, *given, low, high)
     if rows is not None or low == high:
         return rows or []
@@ -155,29 +166,21 @@ def _by_halves(db: sqlite3.Connection, sql: str, given: Row, low: int, high: int
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a copy of a damaged file, with a new first page if that is what is damaged."""
-    if not path.is_file():
+def _opened(path: Path) -> Iterator[Reader]:
+    """Open a copy of a damaged file, with a new first page if that is what is damaged, or none of a memory's."""
+    if not path.exists():
         raise MdbError(f"no memory file {path}")
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / path.name
-        _copy(path, copy)
-        db = _connect(copy)
+    with tempfile.TemporaryDirectory(prefix="mdb-") as folder:
+        copied = Path(folder) / path.name
+        copy(path, copied)
+        db = _connect(copied)
         if not _has_tables(db):
             db.close()
-            _copy(path, copy)
-            _renew_first_page(copy)
-            db = _connect(copy)
+            copy(path, copied)
+            _renew_first_page(copied)
+            db = _connect(copied)
         with closing(db):
-            yield db
-
-
-def _copy(path: Path, copy: Path) -> None:
-    """Copy a file with its write-ahead log, in which the newest may be."""
-    shutil.copyfile(path, copy)
-    log = path.with_name(f"{path.name}-wal")
-    if log.is_file():
-        shutil.copyfile(log, copy.with_name(f"{copy.name}-wal"))
+            yield Reader(db, path, held(copied))
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -189,9 +192,9 @@ def _connect(path: Path) -> sqlite3.Connection:
 def _has_tables(db: sqlite3.Connection) -> bool:
     try:
         names = {row[0] for row in db.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+        return {"pair", "change", "long_term"} <= names and foreign(db) is None
     except sqlite3.Error:
         return False
-    return {"pair", "change", "long_term"} <= names
 
 
 def _renew_first_page(path: Path) -> None:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from mdb_protocol.errors import MdbError
+from mdb_protocol.words import shown
+from mdb_services.recorder import EmptyLogError
 from mdb_sim.runs import measures
 from mdb_sim.runs.record import Doubles, RunRecord, read_record
 from mdb_sim.runs.trajectories import draw_trajectories
@@ -35,6 +37,7 @@ STYLE: Any = {
     "grid.color": "#e4e4e4",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
+    "text.parse_math": False,
     "svg.fonttype": "none",
     "svg.hashsalt": "mdb",
 }
@@ -44,6 +47,8 @@ TEACHER_SHADES = ("#d9e8f3", "#fbe6d3", "#d9efe6", "#f3e0ec")
 """One background a teacher, in the order of appearance; without a teacher it is white."""
 ERROR_TOP = (0.3, 2.0)
 """Least and greatest upper end of an error axis; above 1 the model is worse than saying 0 to everything."""
+MOST_NAME = 40
+"""Characters of a phase's name."""
 RESAMPLES = 2000
 """Bootstrap samples of the seeds behind a 95 % band."""
 
@@ -54,7 +59,7 @@ def draw(run: Path, out: Path | None = None) -> list[Path]:
     MdbError when matplotlib, the run log or the experiment file is missing.
     """
     need_matplotlib()
-    record = read_record(run)
+    record = _drawable(run)
     folder = run if out is None else out
     figures: tuple[tuple[str, Callable[[RunRecord, Figure], None], tuple[float, float]], ...] = (
         ("figure4", _draw_errors, (9.0, 7.2)),
@@ -76,11 +81,19 @@ def draw_band(runs: Sequence[Path], out: Path) -> list[Path]:
     need_matplotlib()
     if not runs:
         raise MdbError("no runs to draw; give at least one run folder")
-    records = [read_record(run) for run in runs]
+    records = [_drawable(run) for run in runs]
     return [
         *save(out / "figure4-seeds", (9.0, 7.2), lambda figure: _draw_errors_band(records, figure)),
         *save(out / "figure5-seeds", (9.0, 4.6), lambda figure: _draw_successes_band(records, figure)),
     ]
+
+
+def _drawable(run: Path) -> RunRecord:
+    """Return a run's record; EmptyLogError when there is no iteration in it."""
+    record = read_record(run)
+    if not record.reported.any():
+        raise EmptyLogError(f"no iteration is in the run log of {run}: nothing to draw")
+    return record
 
 
 def need_matplotlib() -> None:
@@ -315,8 +328,8 @@ def shade(axes: Axes, phases: Sequence[Shown], *, labelled: bool, above: float =
             axes.axvline(phase.start, color=MUTED, linewidth=0.8)
         if labelled:
             axes.text(
-                (phase.start + phase.stop) / 2, above, phase.name, transform=axes.get_xaxis_transform(),
-                ha="center", va="bottom", fontsize=9.5, color=INK,
+                (phase.start + phase.stop) / 2, above, shown(phase.name, MOST_NAME),
+                transform=axes.get_xaxis_transform(), ha="center", va="bottom", fontsize=9.5, color=INK,
             )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mdb_protocol.messages import Drawing, Picture, Shape
+from mdb_protocol.words import shown
 from mdb_sim.figures.four_to_six import BLUE, GREEN, INK, MUTED, ORANGE
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 Box = tuple[float, float, float, float]
 COLOURS = {"robot": INK, "thing": ORANGE, "trail": BLUE, "sensed": GREEN, "wall": MUTED, "ground": "#c8c8c8"}
 """By what a shape stands for."""
+MOST_WORDS = 200
+"""Characters of the words in a drawing."""
 SHAPE, MARGIN = 4 / 3, 1.25
 """Width of a drawing by its height; how much more is seen than must be."""
 
@@ -62,4 +65,4 @@ def _draw_shape(axes: Axes, shape: Shape) -> None:
         case "cross":
             axes.plot(x, y, "x", color=colour, markersize=4)
         case "words":
-            axes.text(x, y, shape.words, color=colour, fontsize=7, clip_on=True)
+            axes.text(x, y, shown(shape.words, MOST_WORDS), color=colour, fontsize=7, clip_on=True)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import structlog
 
-from mdb_protocol import codec, messages
-from mdb_protocol.errors import DecodeError
+from mdb_protocol import codec, files, messages
+from mdb_protocol.errors import DamageError, DecodeError
 from mdb_services.shell.whole_file import write_whole
 
 log = structlog.get_logger()
@@ -26,11 +26,11 @@ class StateFile:
     def read(self) -> messages.RobotState | None:
         """Return the state, or None when there is none; a damaged file is set aside, and said so."""
         try:
-            payload = self._path.read_bytes()
+            payload = files.content(self._path, codec.MAX_BYTES)
             return codec.decode(messages.RobotState, payload, codec.encoding_of(messages.RobotState))
         except FileNotFoundError:
             return None
-        except (OSError, DecodeError) as error:
+        except (OSError, DamageError, DecodeError) as error:
             aside = self._path.with_suffix(".damaged")
             log.warning("the robot begins anew: its state cannot be read", reason=str(error), kept_as=str(aside))
             self._path.replace(aside)

@@ -83,13 +83,13 @@ class _Waiting:
 
 
 class Comparison:
-    """See the module's docstring; `difference` is the first one, in words."""
+    """See the module's docstring; `difference` is the first one, in words. `said`: values that are said now."""
 
     def __init__(self, compare: Compare, *, gaps: bool = False) -> None:
         self.compared = self.unmatched = 0
         self.difference: str | None = None
         self._compare, self._gaps = compare, gaps
-        self._said = self._last_matched = 0
+        self.said = self._last_matched = 0
         self._waiting: defaultdict[tuple[str, int], _Waiting] = defaultdict(_Waiting)
         self._seen: set[tuple[str, str, bytes]] = set()
 
@@ -104,8 +104,8 @@ class Comparison:
         """Take the next value that is said now."""
         if self._is_new("replayed", key, message):
             waiting = self._of(key, message)
-            self._said += 1
-            waiting.replayed.append((timeless(message), self._said))
+            self.said += 1
+            waiting.replayed.append((timeless(message), self.said))
             self._match(key, waiting)
 
     def _of(self, key: str, message: Message) -> _Waiting:

@@ -40,7 +40,8 @@ def run_experiment(
     def bus() -> MemoryBus:
         return MemoryBus(fabric, brain.experiment.brain)
 
-    services: list[Service] = [Recorder(bus(), run), MemoryStore(bus(), brain, MemoryFile(run / MEMORY_FILE))]
+    services: list[Service] = [Recorder(bus(), run, keep_bytes=brain.log.keep_bytes)]
+    services += [MemoryStore(bus(), brain, MemoryFile(run / MEMORY_FILE))]
     services += [Evolver(bus(), brain, model.name) for model in brain.model]
     services.append(experiment.robot_service(bus(), gui=gui))
     if experiment.teacher is not None:

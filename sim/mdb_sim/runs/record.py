@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
+from mdb_protocol.errors import DamageError
 from mdb_protocol.messages import CurrentModel, IterationReport, Lesson, Message, Pair, Phase, Scene, Timing
 from mdb_services.acting.models import prequential
 from mdb_services.experiment.brain import EXPERIMENT_FILE, BrainConfig
@@ -31,6 +32,9 @@ from mdb_sim.body import Numbers
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.teaching.languages import Language
 
+GAP, SHORT = 30, 10_000
+"""A log that speaks of more iterations than `GAP` times its messages and `SHORT` is not made a record of: what is by
+iteration would be far larger than the log."""
 ABSENT = -1
 """Stands in `note` for silence, and in `choice` where there is none, or no report in the log."""
 
@@ -165,8 +169,10 @@ class RunRecord:
 
 @dataclass
 class _Found:
-    """Messages of a log by iteration; the first of each counts."""
+    """Messages of a log by iteration; the first of each counts. One that is beyond the experiment's end is none."""
 
+    brain: BrainConfig
+    messages: int = 0
     reports: dict[int, IterationReport] = field(default_factory=dict)
     scenes: dict[int, Scene] = field(default_factory=dict)
     phases: dict[int, Phase] = field(default_factory=dict)
@@ -175,60 +181,76 @@ class _Found:
     models: dict[tuple[str, int], CurrentModel] = field(default_factory=dict)
     judged: dict[int, Pair] = field(default_factory=dict)
     """The pairs that have feedback."""
+    iterations: int = 0
+    """Up to the last one that it knows of."""
 
     def take(self, message: Message) -> None:
+        self.messages += 1
+        if getattr(message, "iteration", 0) > self.brain.experiment.iterations:
+            return
         match message:
             case IterationReport():
                 self.reports.setdefault(message.iteration, message)
+                self.iterations = max(self.iterations, message.iteration + 1)
             case Scene():
                 self.scenes.setdefault(message.iteration, message)
+                self.iterations = max(self.iterations, message.iteration)
             case Phase():
                 self.phases.setdefault(message.iteration, message)
             case Lesson():
                 self.lessons.append(message)
             case Timing():
                 self.timings.setdefault(message.iteration, message)
-            case CurrentModel():
+            case CurrentModel() if self._is_one(message):
                 self.models.setdefault((message.model, message.version), message)
             case Pair() if message.feedback is not None:
                 self.judged.setdefault(message.iteration, message)
 
-    def with_late_feedback(self, brain: BrainConfig) -> dict[int, IterationReport]:
-        """Return the reports with the feedback that came after them, and the errors that it shows."""
-        variables = brain.variables()
-        books = {model.name: Codebook(variables, model.inputs, model.outputs) for model in brain.model}
-        return {i: self._judged(report, books) for i, report in self.reports.items()}
+    @cached_property
+    def _books(self) -> dict[str, Codebook]:
+        variables = self.brain.variables()
+        return {model.name: Codebook(variables, model.inputs, model.outputs) for model in self.brain.model}
 
-    def _judged(self, report: IterationReport, books: Mapping[str, Codebook]) -> IterationReport:
+    def _is_one(self, model: CurrentModel) -> bool:
+        """Whether a model is one of this brain's: what is drawn of a run lets its networks predict."""
+        book = self._books.get(model.model)
+        return book is not None and len(model.layers) > 2 and book.misfit(model.layers) is None
+
+    def with_late_feedback(self) -> dict[int, IterationReport]:
+        """Return the reports with the feedback that came after them, and the errors that it shows."""
+        return {i: self._judged(report) for i, report in self.reports.items()}
+
+    def _judged(self, report: IterationReport) -> IterationReport:
         pair = self.judged.get(report.iteration)
         if pair is None or report.feedback is not None:
             return report
         acted_upon = {name: self.models.get((name, version)) for name, version in report.versions.items()}
         networks = {
-            name: Known(books[name], Network.from_arrays(model.layers, model.weights))
+            name: Known(self._books[name], Network.from_arrays(model.layers, model.weights))
             for name, model in acted_upon.items()
-            if model is not None and name in books
+            if model is not None
         }
         errors = report.prequential | prequential(networks, pair)
         return structs.replace(report, feedback=pair.feedback, judges=pair.judges, prequential=errors)
-
-    @property
-    def iterations(self) -> int:
-        return max([0, *(i + 1 for i in self.reports), *self.scenes])
 
 
 def read_record(run: Path) -> RunRecord:
     """Return the record of a run folder, finished or not; MdbError when log or experiment file is missing."""
     experiment = Experiment.read(run / EXPERIMENT_FILE)
-    return record_of(run, experiment, read_log(run))
+    return record_of(run, experiment, read_log(run, experiment.brain.experiment.brain))
 
 
 def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> RunRecord:
     """Return the record of messages in the order in which they were recorded."""
-    found = _Found()
+    found = _Found(experiment.brain)
     for recorded in log:
         found.take(recorded.message)
-    reports, n = found.with_late_feedback(experiment.brain), found.iterations
+    if found.iterations > GAP * found.messages + SHORT:
+        raise DamageError(
+            f"the run log in {run} has {found.messages} messages and speaks of iteration {found.iterations}: it is "
+            "damaged, or nearly all of it is lost"
+        )
+    reports, n = found.with_late_feedback(), found.iterations
     return RunRecord(
         run=run,
         experiment=experiment,
@@ -238,11 +260,13 @@ def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> Run
         note=_column(n, {i: r.note for i, r in reports.items()}, ABSENT, np.int64),
         feedback=_column(n, {i: r.feedback for i, r in reports.items()}, np.nan, np.float64),
         explored=_column(n, {i: r.explored for i, r in reports.items()}, False, np.bool_),
-        mode=_column(n, {i: r.mode for i, r in reports.items()}, "", np.dtype("U64")),
-        event=_column(n, {i: r.event for i, r in reports.items()}, "", np.dtype("U64")),
+        mode=_words(n, {i: r.mode for i, r in reports.items()}),
+        event=_words(n, {i: r.event for i, r in reports.items()}),
         successes=_successes(found, frozenset(experiment.robot.successes), n),
-        prequential=_by_model(n, {i: r.prequential for i, r in reports.items()}, np.nan, np.float64),
-        versions=_by_model(n, {i: r.versions for i, r in reports.items()}, 0, np.int64),
+        prequential=_by_model(
+            n, experiment.brain, {i: r.prequential for i, r in reports.items()}, np.nan, np.float64
+        ),
+        versions=_by_model(n, experiment.brain, {i: r.versions for i, r in reports.items()}, 0, np.int64),
         perception_to_action_s=_column(
             n, {i: t.perception_to_action_s for i, t in found.timings.items()}, np.nan, np.float64
         ),
@@ -263,8 +287,17 @@ def _column(n: int, values: Mapping[int, Any], absent: Any, dtype: Any) -> NDArr
     return column
 
 
-def _by_model(n: int, values: Mapping[int, Mapping[str, float]], absent: Any, dtype: Any) -> dict[str, NDArray[Any]]:
-    names = sorted({name for by_name in values.values() for name in by_name})
+def _words(n: int, values: Mapping[int, str]) -> NDArray[np.str_]:
+    longest = max(map(len, values.values()), default=1)
+    words: NDArray[np.str_] = _column(n, values, "", np.dtype(f"U{longest}"))
+    return words
+
+
+def _by_model(
+    n: int, brain: BrainConfig, values: Mapping[int, Mapping[str, float]], absent: Any, dtype: Any
+) -> dict[str, NDArray[Any]]:
+    there = {name for by_name in values.values() for name in by_name}
+    names = sorted(model.name for model in brain.model if model.name in there)
     return {name: _column(n, {i: v.get(name) for i, v in values.items()}, absent, dtype) for name in names}
 
 

@@ -12,7 +12,6 @@ came and went is in no log: he is taken for there from the beginning.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, Self
 
-from mdb_protocol import codec, keys, messages
+from mdb_protocol import codec, files, keys, messages
 from mdb_protocol.bus import Raw, read
 from mdb_protocol.errors import MdbError
 from mdb_protocol.keys import Key
@@ -33,6 +32,7 @@ from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMOR
 from mdb_services.hearing import ear
 from mdb_services.memory import store as memory_store
 from mdb_services.memory.file import MemoryFile
+from mdb_services.memory.reading import MOST_FILE
 from mdb_services.recorder import Recorded, read_log
 from mdb_services.shell.service import Service, close
 from mdb_sim.robot import service as robot_service
@@ -56,7 +56,8 @@ class Run(NamedTuple):
         """Read a run folder; MdbError when it holds no experiment or no log."""
         beginning = folder / BEGINNING_FILE
         experiment = Experiment.read(folder / EXPERIMENT_FILE)
-        return cls(experiment, list(read_log(folder)), beginning if beginning.exists() else None)
+        log = list(read_log(folder, experiment.brain.experiment.brain))
+        return cls(experiment, log, beginning if beginning.exists() else None)
 
     def with_actions_done(self) -> Iterator[Recorded]:
         """Yield the log with the actions that are only in it as done: the recorder has missed them."""
@@ -143,7 +144,7 @@ def _stopped() -> float:
 class Outcome:
     """What came of a replay: messages heard, values compared, and the first difference in words, if there is one.
 
-    `unmatched` are values without a counterpart where messages may have been lost.
+    `unmatched` are values without a counterpart where messages may have been lost, `said` all that it says now.
     """
 
     role: str
@@ -151,6 +152,17 @@ class Outcome:
     compared: int
     unmatched: int
     difference: str | None
+    said: int
+
+    @property
+    def silent(self) -> bool:
+        """Whether it heard the run and says nothing, as nothing of it is in the log."""
+        return self.heard > 0 and not (self.compared or self.said or self.unmatched)
+
+    @property
+    def holds(self) -> bool:
+        """Whether something was checked, and no difference found."""
+        return self.difference is None and (self.compared > 0 or self.silent)
 
 
 def replay(run: Run, name: str, compare: Compare = EXACTLY) -> Outcome:
@@ -178,7 +190,7 @@ def replay(run: Run, name: str, compare: Compare = EXACTLY) -> Outcome:
                 break
         else:
             comparison.end()
-    return Outcome(name, heard, comparison.compared, comparison.unmatched, comparison.difference)
+    return Outcome(name, heard, comparison.compared, comparison.unmatched, comparison.difference, comparison.said)
 
 
 class _Answers:
@@ -252,7 +264,7 @@ def alone(run: Run, role: Role) -> Iterator[tuple[Service, MemoryBus, Callable[[
     with TemporaryDirectory() as first, TemporaryDirectory() as second:
         for folder in (first, second):
             if run.beginning is not None:
-                shutil.copy(run.beginning, Path(folder) / MEMORY_FILE)
+                files.copy(run.beginning, Path(folder) / MEMORY_FILE, MOST_FILE)
         store = roles(run.experiment)["memory"].build(others, Path(first))
         tap = others.tap()
         service = role.build(bus, Path(second))

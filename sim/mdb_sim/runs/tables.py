@@ -11,12 +11,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from mdb_protocol.errors import DamageError
 from mdb_protocol.messages import ContextEvent, CurrentModel, Message, Pair
 from mdb_services.recorder import Recorded
 from mdb_sim.runs.record import RunRecord
 
 Columns = dict[str, list[Any]]
 Row = dict[str, Any]
+SPARSE, SMALL = 20, 1_000_000
+"""A table of more cells than `SPARSE` times its values and `SMALL` is not made: it is far larger than its log."""
 TABLES = ("iterations", "pairs", "models", "contexts", "scenes")
 
 
@@ -47,13 +50,17 @@ def tables_of(record: RunRecord, log: Iterable[Recorded]) -> dict[str, Columns]:
 def columns(rows: Iterable[Row], first: Iterable[str] = ()) -> Columns:
     """Return rows as columns: those named first, then in the order in which names come; what a row lacks is None."""
     listed = list(rows)
-    names = dict.fromkeys([*first, *(name for row in listed for name in row)])
-    return {name: [row.get(name) for row in listed] for name in names if not _is_split(name, names)}
-
-
-def _is_split(name: str, names: Iterable[str]) -> bool:
-    """Whether a column is there only for rows in which what has columns of its own by name is missing."""
-    return any(other.startswith(f"{name}.") for other in names)
+    names = dict.fromkeys(first)
+    for row in listed:
+        names |= dict.fromkeys(row)
+    values = sum(map(len, listed))
+    if len(names) * len(listed) > SPARSE * values + SMALL:
+        raise DamageError(
+            f"a table of {len(names)} columns and {len(listed)} rows for {values} values: each message of this log "
+            "has other names, so it is damaged, or of no run"
+        )
+    split = {name[:at] for name in names for at, letter in enumerate(name) if letter == "."}
+    return {name: [row.get(name) for row in listed] for name in names if name not in split}
 
 
 def _iterations(record: RunRecord) -> Iterator[Row]:

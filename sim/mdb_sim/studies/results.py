@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from mdb_protocol.errors import MdbError
+from mdb_protocol import files
+from mdb_protocol.errors import DamageError, MdbError
+from mdb_protocol.files import size
 from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.films import Film
 from mdb_sim.studies.rows import CURVES, PhaseRow
@@ -27,6 +29,9 @@ if TYPE_CHECKING:
 METADATA = b"mdb"
 """Key of our metadata in the schema's."""
 ENDING = ".parquet"
+MOST_BYTES = 64 * 2**20
+"""Of a result's file, and of what it says that it unpacks to; those of the longest study have 1 MB."""
+MOST_PHASES = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,11 +102,16 @@ def encode(label: Label, rows: Sequence[PhaseRow]) -> bytes:
 
 
 def decode(data: bytes) -> Result:
-    """Return what a file's bytes hold."""
+    """Return what a file's bytes hold; ValueError when that is more than any run's."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    return _result(pq.read_table(pa.BufferReader(data)))
+    with pq.ParquetFile(pa.BufferReader(data)) as file:
+        said = file.metadata
+        unpacked = sum(said.row_group(number).total_byte_size for number in range(said.num_row_groups))
+        if not 0 < said.num_rows <= MOST_PHASES or unpacked > MOST_BYTES:
+            raise ValueError(f"{said.num_rows} phases in {size(unpacked)}: no run has that many")
+        return _result(file.read())
 
 
 def relabelled(data: bytes, label: Label) -> bytes:
@@ -125,17 +135,22 @@ def labels(folder: Path) -> Iterator[tuple[Path, Label]]:
 
     for path in sorted(folder.glob(f"*/*/*{ENDING}")):
         try:
-            yield path, _label(pq.read_schema(path))
-        except (pa.ArrowException, OSError, KeyError, ValueError, TypeError):
+            with files.opened(path, MOST_BYTES) as file:
+                label = _label(pq.read_schema(file))
+        except (pa.ArrowException, DamageError, OSError, KeyError, ValueError, TypeError, OverflowError):
             continue
+        yield path, label
+
+
+def content(path: Path) -> bytes:
+    """Return the bytes of a result's file; DamageError when it is none."""
+    return files.content(path, MOST_BYTES)
 
 
 def read(folder: Path, study: str | None = None) -> list[Result]:
     """Return all results of a folder, of one study or of all, by study, variant and seed."""
-    import pyarrow.parquet as pq
-
     found = [path for path, label in labels(folder) if study in (None, label.study)]
-    results = [_result(pq.read_table(path, partitioning=None)) for path in found]
+    results = [decode(content(path)) for path in found]
     return sorted(results, key=lambda r: (r.label.study, r.label.order, r.label.variant, r.label.body, r.label.seed))
 
 

@@ -12,6 +12,7 @@ from mdb_deploy.teach.keyboard import HELP, NOTE_KEYS
 from mdb_deploy.teach.record import OBEDIENCE_OF, SUCCESSES_IN
 from mdb_deploy.teach.view import Exchange, Latency, View
 from mdb_protocol.messages import IterationReport
+from mdb_protocol.words import shown
 
 CELL = 11
 """Columns of a key in the rows of notes."""
@@ -32,9 +33,9 @@ def top(view: View, name: str, brain: str, where: str) -> Text:
 def says(view: View, meant: Sequence[str], now_s: float, *, suggest: bool) -> Text:
     """Return what is most urgent to say: trouble, a notice, which command would be right."""
     if view.trouble is not None:
-        return Text(view.trouble, f"bold {BAD}")
+        return Text(shown(view.trouble), f"bold {BAD}")
     if view.notice is not None and now_s - view.noticed_s < NOTICE_S:
-        return Text(view.notice, WARN)
+        return Text(shown(view.notice), WARN)
     if suggest and view.wanted is not None:
         key = NOTE_KEYS[view.language.note(view.wanted)]
         return Text(f"right would be: {meant[view.wanted]}, your key {key}", GOOD)

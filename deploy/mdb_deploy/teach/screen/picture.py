@@ -12,6 +12,7 @@ import numpy as np
 from rich.text import Text
 
 from mdb_deploy.teach.screen.canvas import Canvas, Window
+from mdb_protocol import words
 from mdb_protocol.messages import Drawing, Shape
 
 STEP = math.sqrt(2.0)
@@ -28,6 +29,8 @@ STYLES = {
 }
 GRID = "grey50"
 FAINT, TITLE = "grey50", "bold"
+MOST_WORDS = 200
+"""Characters of the words in a drawing."""
 HALF_BLOCK = "\u2580"
 """Its upper half has the text's colour, its lower half the background's."""
 
@@ -82,7 +85,7 @@ def _draw_shape(canvas: Canvas, shape: Shape) -> None:
         case "cross":
             canvas.cross(first, style)
         case "words":
-            canvas.write(first, shape.words, style)
+            canvas.write(first, words.shown(shape.words, MOST_WORDS), style)
 
 
 def show_image(image: np.ndarray, columns: int, rows: int) -> Text:

@@ -1,0 +1,20 @@
+"""The console on which a command writes: words are words in it, and no markup, whoever chose them."""
+
+from __future__ import annotations
+
+from typing import TextIO
+
+from rich.console import Console
+from rich.text import Text
+
+from mdb_protocol.words import shown
+
+
+def console_of(stream: TextIO) -> Console:
+    """Return a console that takes what it is given as it is: `[red]` and `:smile:` are written so."""
+    return Console(file=stream, markup=False, emoji=False)
+
+
+def plain(text: object) -> Text:
+    """Return words as a part of a table or a display, where a console's own setting does not count."""
+    return Text(shown(text, lines=True))
