@@ -34,18 +34,21 @@ def add(commands: Commands) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from mdb_deploy.running.processes import RouterOptions, ServiceOptions, run_router, run_service
+    from mdb_services.shell.heartbeat import START_S, Heart
     from mdb_services.shell.service import Stopper
 
+    heart = Heart.inherited()
+    heart.beat(START_S)
     stop = Stopper(arguments.with_parent)
     stop.install()
     if arguments.service == "router":
         options = RouterOptions(arguments.run, arguments.listen, arguments.keys, arguments.open_to_everyone)
-        run_router(options, stop)
+        run_router(options, stop, heart)
         return 0
     if arguments.run is None:
         raise MdbError(f"mdb run {arguments.service} needs --run FOLDER; 'mdb prepare --run FOLDER' makes one")
     service = ServiceOptions(arguments.run, arguments.connect, arguments.model, arguments.gui, arguments.keys)
-    run_service(arguments.service, service, stop)
+    run_service(arguments.service, service, stop, heart)
     return 0
 
 

@@ -20,6 +20,7 @@ from mdb_protocol.errors import BusError, ConfigError, DamageError
 from mdb_protocol.holding import hold
 from mdb_protocol.zenoh_bus import Router, RouterKeys, ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.shell.heartbeat import BEAT_S, COMPILE_S, START_S, Heart
 from mdb_services.shell.service import Service, Stopper, run
 from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
@@ -49,8 +50,10 @@ class RouterOptions:
     open_to_everyone: bool = False
 
 
-def run_router(options: RouterOptions, stop: Stopper) -> None:
+def run_router(options: RouterOptions, stop: Stopper, heart: Heart) -> None:
     """Route until told to stop; writes where this machine's clients connect into the run folder.
+
+    The heart beats as long as the router itself answers, for its work is done in threads of Zenoh's.
 
     When the access control has changed it begins anew on the same port: Zenoh reads it only at the start. Clients
     come back by themselves, within half a second; who is no longer admitted stays out.
@@ -58,12 +61,17 @@ def run_router(options: RouterOptions, stop: Stopper) -> None:
     listen, changed = options.listen, _changes(options.keys)
     bound_s = 0.0
     while not stop():
+        heart.beat(START_S)
         router = open_router(options, listen, bound_s)
         endpoint = router.endpoint()
         listen, bound_s = endpoints.with_port_of(router.listen, endpoint), PORT_FREE_S
         _say_where(options.run, endpoint)
         log.info("routing", endpoint=endpoint, listen=listen)
+        asked_s = 0.0
         while not stop() and not changed():
+            if (now_s := time.monotonic()) - asked_s >= BEAT_S and router.answers():
+                asked_s = now_s
+                heart.beat()
             time.sleep(0.05)
         router.close()
 
@@ -127,8 +135,9 @@ class ServiceOptions:
     keys: Path | None = None
 
 
-def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
+def run_service(name: str, options: ServiceOptions, stop: Stopper, heart: Heart) -> None:
     """Build and run one service of the experiment in the run folder."""
+    heart.beat(COMPILE_S if name == EVOLVER else START_S)
     run_folder = options.run
     experiment = Experiment.read(run_folder / EXPERIMENT_FILE)
     builders: dict[str, Callable[[Bus], Service]] = {
@@ -164,7 +173,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
     except BaseException:
         bus.close()
         raise
-    run(service, stop, run_folder)
+    run(service, stop, run_folder, heart)
 
 
 def _recorder(bus: Bus, run_folder: Path) -> Service:
