@@ -20,7 +20,7 @@ BEAT_S = 0.2
 SILENT_S = 2.5
 """Who is silent for longer hangs, unless something else was said."""
 START_S = 30.0
-"""Between the first sign of life and the loop: imports, a router, the predecessor's tokens, a body; a busy machine."""
+"""Between the first sign of life and the loop: imports, a router, the predecessor's tokens, a body."""
 COMPILE_S = 90.0
 """The same when kernels may have to be compiled."""
 TURN_S = 0.5
