@@ -190,7 +190,7 @@ def test_one_that_hangs_at_each_start_ends_the_run_with_the_reason(
     monkeypatch.setattr(Child, "patience", 1.0)
 
     async def check(rig: Rig) -> None:
-        with pytest.raises(StartError, match="5 times in a row .* last with status -9: it hung: no sign"):
+        with pytest.raises(StartError, match=r"5 times in a row .* last with status -9: it hung: no sign"):
             await rig.runner.start()
 
     run(lambda: Rig(tmp_path, NEVER_GETS_READY), check)

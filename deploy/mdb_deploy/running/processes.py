@@ -14,6 +14,7 @@ from pathlib import Path
 import structlog
 
 from mdb_deploy.keys.access import ACCESS_FILE
+from mdb_deploy.running.unattended import or_finished
 from mdb_protocol import endpoints
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, ConfigError, DamageError
@@ -38,6 +39,8 @@ INSTANCES = {
 """The only instance of each role, as its class says; an evolver's is its model. Known before a class is imported."""
 CONNECT_S = 10.0
 PORT_FREE_S = 5.0
+LEAVE_S = 15.0
+"""So long the router of a finished run waits for the others to leave."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,8 @@ class RouterOptions:
     listen: str | None
     keys: Path | None = None
     open_to_everyone: bool = False
+    until_finished: bool = False
+    """End when the run in the run folder is finished, and those who took part have left."""
 
 
 def run_router(options: RouterOptions, stop: Stopper, heart: Heart) -> None:
@@ -67,13 +72,35 @@ def run_router(options: RouterOptions, stop: Stopper, heart: Heart) -> None:
         listen, bound_s = endpoints.with_port_of(router.listen, endpoint), PORT_FREE_S
         _say_where(options.run, endpoint)
         log.info("routing", endpoint=endpoint, listen=listen)
-        asked_s = 0.0
+        asked_s, over = 0.0, _over(options, endpoint)
         while not stop() and not changed():
+            if over():
+                log.info("the run is finished")
+                router.close()
+                return
             if (now_s := time.monotonic()) - asked_s >= BEAT_S and router.answers():
                 asked_s = now_s
                 heart.beat()
             time.sleep(0.05)
         router.close()
+
+
+def _over(options: RouterOptions, endpoint: str) -> Callable[[], bool]:
+    """Return a function that says whether the run is finished and nobody takes part any more."""
+    if not options.until_finished or options.run is None:
+        return lambda: False
+    brain = Experiment.read(options.run / EXPERIMENT_FILE).brain.experiment.brain
+    bus = ZenohBus(brain, endpoint, credentials=options.keys, connect_timeout_s=CONNECT_S)
+    finished, since_s = or_finished(lambda: False, bus), 0.0
+
+    def over() -> bool:
+        nonlocal since_s
+        if not finished():
+            return False
+        since_s = since_s or time.monotonic()
+        return not bus.alive() or time.monotonic() - since_s > LEAVE_S
+
+    return over
 
 
 def open_router(options: RouterOptions, listen: str | None = None, bound_s: float = 0.0) -> Router:
@@ -133,6 +160,8 @@ class ServiceOptions:
     model: str | None = None
     gui: bool = False
     keys: Path | None = None
+    until_finished: bool = False
+    """End when the run is finished."""
 
 
 def run_service(name: str, options: ServiceOptions, stop: Stopper, heart: Heart) -> None:
@@ -173,7 +202,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper, heart: Heart)
     except BaseException:
         bus.close()
         raise
-    run(service, stop, run_folder, heart)
+    run(service, or_finished(stop, bus) if options.until_finished else stop, run_folder, heart)
 
 
 def _recorder(bus: Bus, run_folder: Path) -> Service:

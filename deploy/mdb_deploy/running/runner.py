@@ -15,13 +15,13 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 import structlog
 
-from mdb_deploy.running.compose import ROUTER, ProcessSpec
+from mdb_deploy.running.compose import ROUTER, ProcessSpec, fill
 from mdb_protocol.errors import MdbError
 from mdb_services.shell.heartbeat import BEAT_S, Pulse
 
@@ -59,7 +59,8 @@ class Child:
     pulse: Pulse | None = None
     started_s: float = 0.0
     ready: bool = False
-    been_ready: asyncio.Event = field(default_factory=asyncio.Event)
+    been_ready: bool = False
+    """Whether it has ever been."""
     ended_for: str = ""
     """Why the runner itself has ended it, if it has."""
     restarts: int = 0
@@ -116,11 +117,10 @@ class Runner:
         self._tasks = [asyncio.create_task(each) for each in work]
         for task in self._tasks:
             task.add_done_callback(self._look_at)
-        everybody = asyncio.gather(*(child.been_ready.wait() for child in self.children.values()))
-        await asyncio.wait({everybody, self.failed}, return_when=asyncio.FIRST_COMPLETED)
-        if self.failed.done():
-            everybody.cancel()
-            raise self.failed.result()
+        while not all(child.been_ready for child in self.children.values()):
+            await asyncio.wait({self.failed}, timeout=PAUSE_S)
+            if self.failed.done():
+                raise self.failed.result()
 
     def _look_at(self, task: asyncio.Task[None]) -> None:
         """A mistake in the runner itself ends the run, for nobody watches any more."""
@@ -151,7 +151,7 @@ class Runner:
 
     def _why_give_up(self, child: Child, status: int | None, how: str) -> str | None:
         """Return what to say of a process that is not to be started again; None when it is."""
-        if not child.been_ready.is_set() and status is not None and status >= 0:
+        if not child.been_ready and status is not None and status >= 0:
             return f"ended with status {status}"  # by itself, at its first start: it would again
         if not child.spec.restarts:
             return f"ended {how}, and is not to be started again"
@@ -186,11 +186,11 @@ class Runner:
     def _welcome(self, child: Child, on_ready: Callable[[str], None]) -> None:
         child.ready = True
         name, took_s = child.spec.name, round(time.monotonic() - child.started_s, 2)
-        if child.been_ready.is_set():
+        if child.been_ready:
             log.info("process is ready again", name=name, start_s=took_s, restarts=child.restarts)
         else:
             on_ready(name)
-            child.been_ready.set()
+            child.been_ready = True
 
     def _is_ready(self, child: Child) -> bool:
         return time.monotonic() - child.started_s > STALE_S and child.spec.token in self._alive()
@@ -203,6 +203,7 @@ class Runner:
         argv = child.spec.argv(self._variables)
         if argv[0] == "mdb":
             argv = [sys.executable, "-m", "mdb_deploy.cli", *argv[1:], f"--with-parent={os.getpid()}"]
+        environment = {name: fill(value, self._variables) for name, value in child.spec.environment.items()}
         self._logs.mkdir(exist_ok=True)
         output: IO[bytes]
         with child.log_path.open("ab") as output:
@@ -213,7 +214,7 @@ class Runner:
                     stdin=asyncio.subprocess.DEVNULL,
                     stdout=output,
                     stderr=asyncio.subprocess.STDOUT,
-                    env=os.environ | child.spec.environment | pulse.environment(),
+                    env=os.environ | environment | pulse.environment(),
                     pass_fds=(pulse.child_pipe,),
                     start_new_session=True,
                 )

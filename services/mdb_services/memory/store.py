@@ -158,8 +158,9 @@ class MemoryStore:
         if self._clock() < self._retry_s:
             return False
         try:
+            self._file.check_place()
             write()
-        except sqlite3.OperationalError as error:
+        except (sqlite3.OperationalError, OSError) as error:
             if not self._retry_s:
                 log.error("cannot write to disk; trying again", every_s=RETRY_S, reason=str(error))
             self._unwritten += 1

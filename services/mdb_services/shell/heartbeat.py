@@ -44,6 +44,11 @@ class Heart:
         said = environment.pop(VARIABLE, "")
         return cls(int(said) if said.isdecimal() else None)
 
+    @property
+    def is_felt(self) -> bool:
+        """Whether there is a supervisor."""
+        return self._pipe is not None
+
     def beat(self, next_s: float = SILENT_S) -> None:
         """Say that all goes on, and within how many seconds it is said again; 0 keeps silent."""
         now_s = self._clock()

@@ -1,0 +1,59 @@
+"""A service without `mdb up` around it, as in a container: ended when it hangs, and by itself once the run is over.
+
+Owns the small process that starts the service, feels its pulse and passes signals on. It does not start it again:
+whoever started this does, Docker say, for it ends with a status that is not 0.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+
+import structlog
+
+from mdb_protocol import keys
+from mdb_protocol.bus import Bus
+from mdb_services.shell.heartbeat import Pulse
+
+log = structlog.get_logger()
+
+FEEL_S = 0.1
+HUNG = 1
+UNATTENDED, UNTIL_FINISHED = "--unattended", "--until-finished"
+
+
+def run_unattended(words: Sequence[str]) -> int:
+    """Run `mdb` with these words in a process of its own until it ends or hangs; return its exit status."""
+    pulse = Pulse()
+    inside = [UNTIL_FINISHED if word == UNATTENDED else word for word in words]
+    command = [sys.executable, "-m", "mdb_deploy.cli", *inside, f"--with-parent={os.getpid()}"]
+    child = subprocess.Popen(command, env=os.environ | pulse.environment(), pass_fds=(pulse.child_pipe,))
+    pulse.child_has_it()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda told, _: child.send_signal(told))
+    while True:
+        try:
+            status = child.wait(FEEL_S)
+            return status if status >= 0 else 128 - status
+        except subprocess.TimeoutExpired:
+            pulse.feel()
+        if pulse.hangs():
+            log.error("it hung and was ended", silent_s=round(pulse.silent_s, 1), process=child.pid)
+            child.kill()
+            child.wait()
+            return HUNG
+
+
+def or_finished(stop: Callable[[], bool], bus: Bus) -> Callable[[], bool]:
+    """Return a function that says to stop when `stop` does, or once the brain's run is finished."""
+    inbox, seen = bus.subscriber(keys.FINISHED), False
+
+    def told() -> bool:
+        nonlocal seen
+        seen = seen or inbox.take() is not None
+        return seen or stop()
+
+    return told
