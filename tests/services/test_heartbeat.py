@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from mdb_protocol.memory_bus import Fabric
-from mdb_services.shell.heartbeat import BEAT_S, READ_BYTES, SILENT_S, TURN_S, VARIABLE, Heart, Pulse
+from mdb_services.shell.heartbeat import BEAT_S, CLOSE_S, READ_BYTES, SILENT_S, TURN_S, VARIABLE, Heart, Pulse
 from mdb_services.shell.service import run
 from tests.services.test_service import Probe, idle
 
@@ -66,7 +66,7 @@ def test_what_was_just_said_is_not_said_again_but_something_else_is(pair: Pair) 
     for _ in range(1000):
         pair.heart.beat()
     pair.heart.beat(9.0)
-    assert os.read(pair.pulse._pipe, READ_BYTES) == b"2.500\n9.000\n"
+    assert os.read(pair.pulse._pipe, READ_BYTES) == b"2.000\n9.000\n"
     pair.clock.now_s += BEAT_S
     pair.heart.beat(9.0)
     assert os.read(pair.pulse._pipe, READ_BYTES) == b"9.000\n"
@@ -132,7 +132,7 @@ def test_the_loop_of_a_service_beats_as_long_as_its_steps_come_back() -> None:
 
     probe = Probe(Fabric(), idle)
     run(probe, lambda: probe.steps >= 3, heart=Told())
-    assert beats == [SILENT_S] * 3
+    assert beats == [SILENT_S] * 3 + [CLOSE_S]
 
     class Slow(Probe):
         def next_s(self) -> float:
@@ -141,4 +141,4 @@ def test_the_loop_of_a_service_beats_as_long_as_its_steps_come_back() -> None:
     beats.clear()
     slow = Slow(Fabric(), idle)
     run(slow, lambda: slow.steps >= 2, heart=Told())
-    assert beats == [60.0, 0.0]
+    assert beats == [60.0, 0.0, CLOSE_S]

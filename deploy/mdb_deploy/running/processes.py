@@ -5,6 +5,7 @@ Imports what a service needs only when it is run: an optimizer has no compiler i
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable
@@ -39,8 +40,8 @@ INSTANCES = {
 """The only instance of each role, as its class says; an evolver's is its model. Known before a class is imported."""
 CONNECT_S = 10.0
 PORT_FREE_S = 5.0
-LEAVE_S = 15.0
-"""So long the router of a finished run waits for the others to leave."""
+LEAVE_S, FAREWELL_S = 15.0, 1.0
+"""So long the router of a finished run waits for the others to leave, and after the last token for its session."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +71,10 @@ def run_router(options: RouterOptions, stop: Stopper, heart: Heart) -> None:
         router = open_router(options, listen, bound_s)
         endpoint = router.endpoint()
         listen, bound_s = endpoints.with_port_of(router.listen, endpoint), PORT_FREE_S
+        heart.beat()
         _say_where(options.run, endpoint)
         log.info("routing", endpoint=endpoint, listen=listen)
-        asked_s, over = 0.0, _over(options, endpoint)
+        asked_s, over = 0.0, _over(options, endpoint)  # anew each time: the session before went with its router
         while not stop() and not changed():
             if over():
                 log.info("the run is finished")
@@ -91,14 +93,13 @@ def _over(options: RouterOptions, endpoint: str) -> Callable[[], bool]:
         return lambda: False
     brain = Experiment.read(options.run / EXPERIMENT_FILE).brain.experiment.brain
     bus = ZenohBus(brain, endpoint, credentials=options.keys, connect_timeout_s=CONNECT_S)
-    finished, since_s = or_finished(lambda: False, bus), 0.0
+    finished, until_s = or_finished(lambda: False, bus), math.inf
 
     def over() -> bool:
-        nonlocal since_s
-        if not finished():
-            return False
-        since_s = since_s or time.monotonic()
-        return not bus.alive() or time.monotonic() - since_s > LEAVE_S
+        nonlocal until_s
+        if finished():
+            until_s = min(until_s, time.monotonic() + (LEAVE_S if bus.alive() else FAREWELL_S))
+        return time.monotonic() > until_s
 
     return over
 

@@ -17,12 +17,14 @@ VARIABLE = "MDB_HEARTBEAT"
 """Holds the number of the pipe's end that is written to."""
 BEAT_S = 0.2
 """So often the same is said again."""
-SILENT_S = 2.5
+SILENT_S = 2.0
 """Who is silent for longer hangs, unless something else was said."""
 START_S = 30.0
 """Between the first sign of life and the loop: imports, a router, the predecessor's tokens, a body."""
 COMPILE_S = 90.0
 """The same when kernels may have to be compiled."""
+CLOSE_S = 10.0
+"""The end: a body that comes to rest, a log that is finished, a session that takes its leave of a router."""
 TURN_S = 0.5
 """No turn of the supervisor counts for more: what is beyond it was sleep, or a machine with no time for anybody."""
 READ_BYTES = 65536

@@ -24,7 +24,7 @@ import structlog
 from mdb_protocol import keys
 from mdb_protocol.bus import Bus
 from mdb_protocol.messages import Status
-from mdb_services.shell.heartbeat import SILENT_S, Heart
+from mdb_services.shell.heartbeat import CLOSE_S, SILENT_S, Heart
 
 log = structlog.get_logger()
 
@@ -175,6 +175,7 @@ def run(service: Service, stop: Callable[[], bool], folder: Path | None = None, 
                 if failures >= FAILURES_IN_A_ROW:
                     raise
     finally:
+        heart.beat(CLOSE_S)
         close([service])
         log.info("stopped", role=service.role, instance=service.instance)
 
