@@ -21,10 +21,11 @@ ROUTER = ("run", "router", "--unattended", "--listen", "tcp/127.0.0.1:0", "--run
 
 @pytest.fixture
 def router(tmp_path: Path) -> Iterator[psutil.Popen]:
-    run = tmp_path / "run"
-    process = psutil.Popen([sys.executable, "-m", "mdb_deploy.cli", *ROUTER, str(run)], stderr=subprocess.PIPE)
+    run, beats = tmp_path / "run", tmp_path / "beats"
+    command = [sys.executable, "-m", "mdb_deploy.cli", *ROUTER, str(run)]
+    process = psutil.Popen(command, stderr=subprocess.PIPE, env=os.environ | {"MDB_BEATS": str(beats)})
     try:
-        until(lambda: (run / "router.endpoint").exists() or process.poll() is not None)
+        until(lambda: beats.exists() or process.poll() is not None)
         yield process
     finally:
         if process.poll() is None:

@@ -80,6 +80,18 @@ def test_who_says_zero_keeps_silent(pair: Pair) -> None:
     assert pair.pulse.hangs()
 
 
+def test_who_is_ready_says_so_once(pair: Pair) -> None:
+    pair.heart.beat(30.0)
+    pair.wait(0.1)
+    assert not pair.pulse.ready
+    pair.heart.ready()
+    pair.wait(0.1)
+    pair.heart.beat()
+    pair.wait(SILENT_S + 0.3)
+    assert pair.pulse.ready
+    assert pair.pulse.hangs()
+
+
 def test_who_never_beat_is_not_supervised(pair: Pair) -> None:
     pair.wait(1000.0)
     assert not pair.pulse.hangs()

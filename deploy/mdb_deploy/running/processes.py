@@ -71,7 +71,7 @@ def run_router(options: RouterOptions, stop: Stopper, heart: Heart) -> None:
         router = open_router(options, listen, bound_s)
         endpoint = router.endpoint()
         listen, bound_s = endpoints.with_port_of(router.listen, endpoint), PORT_FREE_S
-        heart.beat()
+        heart.ready()
         _say_where(options.run, endpoint)
         log.info("routing", endpoint=endpoint, listen=listen)
         asked_s, over = 0.0, _over(options, endpoint)  # anew each time: the session before went with its router

@@ -1,6 +1,7 @@
 """A service without `mdb up` around it, as in a container: ended when it hangs, and by itself once the run is over.
 
-Owns the small process that starts the service, feels its pulse and passes signals on. It does not start it again:
+Owns the small process that starts the service, feels its pulse and passes signals on, and a file that it touches as
+long as the service is ready and goes on: `deploy/health` looks at it. It does not start it again:
 whoever started this does, Docker say, for it ends with a status that is not 0.
 """
 
@@ -11,6 +12,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
 
 import structlog
 
@@ -22,6 +25,8 @@ log = structlog.get_logger()
 
 FEEL_S = 0.1
 HUNG = 1
+BEATS_VARIABLE = "MDB_BEATS"
+"""Holds the path of that file; none without it."""
 UNATTENDED, UNTIL_FINISHED = "--unattended", "--until-finished"
 
 
@@ -40,6 +45,9 @@ def run_unattended(words: Sequence[str]) -> int:
             return status if status >= 0 else 128 - status
         except subprocess.TimeoutExpired:
             pulse.feel()
+        if pulse.ready and not pulse.silent_s and (path := os.environ.get(BEATS_VARIABLE)):
+            with suppress(OSError):
+                Path(path).touch()
         if pulse.hangs():
             log.error("it hung and was ended", silent_s=round(pulse.silent_s, 1), process=child.pid)
             child.kill()

@@ -27,6 +27,7 @@ CLOSE_S = 10.0
 """The end: a body that comes to rest, a log that is finished, a session that takes its leave of a router."""
 TURN_S = 0.5
 """No turn of the supervisor counts for more: what is beyond it was sleep, or a machine with no time for anybody."""
+READY = "ready"
 READ_BYTES = 65536
 """As much as a pipe holds."""
 
@@ -51,14 +52,22 @@ class Heart:
         """Whether there is a supervisor."""
         return self._pipe is not None
 
+    def ready(self) -> None:
+        """Say that it is ready, and beat."""
+        self._write(f"{READY} {SILENT_S:.3f}\n")
+
     def beat(self, next_s: float = SILENT_S) -> None:
         """Say that all goes on, and within how many seconds it is said again; 0 keeps silent."""
         now_s = self._clock()
         if self._pipe is None or not next_s or (next_s == self._said_s and now_s - self._beaten_s < BEAT_S):
             return
         self._said_s, self._beaten_s = next_s, now_s
-        with suppress(OSError):  # full, for the supervisor is frozen; or broken, for it is gone
-            os.write(self._pipe, f"{next_s:.3f}\n".encode())
+        self._write(f"{next_s:.3f}\n")
+
+    def _write(self, line: str) -> None:
+        if self._pipe is not None:
+            with suppress(OSError):  # full, for the supervisor is frozen; or broken, for it is gone
+                os.write(self._pipe, line.encode())
 
 
 class Pulse:
@@ -70,6 +79,8 @@ class Pulse:
         self._pipe, self.child_pipe = os.pipe()
         os.set_blocking(self._pipe, False)
         self.silent_s = 0.0
+        self.ready = False
+        """Whether it has said that it is ready."""
         self._limit_s: float | None = None
         self._felt_s = clock()
 
@@ -89,6 +100,7 @@ class Pulse:
         passed_s, self._felt_s = min(now_s - self._felt_s, TURN_S), now_s
         if (beats := self._beats()).endswith(b"\n"):
             self.silent_s, self._limit_s = 0.0, float(beats.split()[-1])
+            self.ready = self.ready or READY.encode() in beats
         elif counts:
             self.silent_s += passed_s
 

@@ -161,6 +161,7 @@ def run(service: Service, stop: Callable[[], bool], folder: Path | None = None, 
     sys.setswitchinterval(SWITCH_S)
     try:
         meter = announce(service, folder)
+        heart.ready()
         log.info("ready", role=service.role, instance=service.instance)
         while not stop():
             service.bus.wait(min(WAIT_S, service.due_in_s()) if isinstance(service, Timed) else WAIT_S)
