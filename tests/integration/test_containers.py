@@ -11,14 +11,15 @@ import os
 import shutil
 import sqlite3
 import subprocess
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from mdb_deploy.running.compose import COMPOSE_FILE
 from mdb_services.experiment.brain import MEMORY_FILE
-from tests.integration.brain import SHORT, until
+from tests.integration.brain import SHORT
 
 ROOT = COMPOSE_FILE.parents[1]
 BASE, IMAGE = "python:3.11-slim", "multilevel-darwinist-brain"
@@ -99,6 +100,13 @@ class Containers:
             for each in found
         }
 
+    def wait_for(self, condition: Callable[[], bool]) -> None:
+        """Look now and then, for each look costs a second of a core; the end tells how all are."""
+        deadline = time.monotonic() + BOUND_S
+        while not condition():
+            assert time.monotonic() < deadline, self.compose("logs", "--tail", "5")
+            time.sleep(2.0)
+
     def log(self, service: str) -> list[str]:
         said = docker("logs", str(self.states()[service]["id"]))
         return (said.stdout + said.stderr).strip().splitlines()
@@ -121,14 +129,14 @@ def containers(tmp_path: Path) -> Iterator[Containers]:
 @pytest.mark.timeout(1800)
 def test_a_run_in_containers_survives_a_hang_and_ends_with_figures_and_a_last_line(containers: Containers) -> None:
     containers.compose("up", "-d")
-    until(lambda: any("iteration" in line for line in containers.log("follow")), BOUND_S)
+    containers.wait_for(lambda: any("iteration" in line for line in containers.log("follow")))
     state = containers.states()
     healthy = {name for name, one in state.items() if (one.get("Health") or {}).get("Status") == "healthy"}  # type: ignore[attr-defined]
     assert {"router", "memory", "robot", "teacher", "recorder", "evolver-object"} <= healthy
     frozen = docker("exec", str(state["memory"]["id"]), "python", "-c", FREEZE)
     assert frozen.returncode == 0, frozen.stderr
 
-    until(lambda: not any(one["Running"] for one in containers.states().values()), BOUND_S)
+    containers.wait_for(lambda: not any(one["Running"] for one in containers.states().values()))
 
     state = containers.states()
     assert {name: one["ExitCode"] for name, one in state.items()} == dict.fromkeys(state, 0)
