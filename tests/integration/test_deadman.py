@@ -176,7 +176,8 @@ def test_who_is_frozen_holds_up_acting_for_a_bounded_time(
     brain, bus, _ = watched
     began_s = ears.heard[-1].at_s
     before = longest_gap_s(ears.heard, messages.IterationReport, ears.heard[0].at_s, began_s)
-    with frozen(pid_of(brain, bus, role, instance)):
+    one = pid_of(brain, bus, role, instance)
+    with unattended(brain), frozen(one):
         ears.listen(bound_s + 1.5)
     ended_s = ears.heard[-1].at_s
     gap_s = longest_gap_s(ears.heard, messages.IterationReport, began_s, ended_s)

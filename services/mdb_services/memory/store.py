@@ -17,7 +17,7 @@ import numpy as np
 import structlog
 
 from mdb_protocol import keys, messages
-from mdb_protocol.bus import Bus, Publisher
+from mdb_protocol.bus import AT_ONCE, Bus, Publisher
 from mdb_protocol.errors import DecodeError
 from mdb_services.experiment.brain import BrainConfig
 from mdb_services.mechanism.feedback.praise import LATELY
@@ -25,12 +25,15 @@ from mdb_services.mechanism.networks.network import Network
 from mdb_services.memory.file import Effects, MemoryFile
 from mdb_services.memory.model_memory import ModelMemory
 from mdb_services.shell.elsewhere import Elsewhere
+from mdb_services.shell.heartbeat import SILENT_S
 
 log = structlog.get_logger()
 
 ROLE = "memory"
 FAR = 100
 """Pairs that may be on their way together and overtake one another."""
+PAIR_S = 0.1
+"""No message that waits takes longer, by far; many wait for a store that was dead."""
 RETRY_S = 1.0
 """How often a disk that takes nothing is tried again."""
 
@@ -278,6 +281,10 @@ class MemoryStore:
         stored = messages.PairStored(iteration=pair.iteration, versions=versions, judged=judged)
         self._file.add(pair, stored, effects)
         return effects, stored
+
+    def next_s(self) -> float:
+        """See `Bounded`: a step stores all that waits, or the first of a flood."""
+        return SILENT_S + PAIR_S * min(self.bus.queued(), AT_ONCE)
 
     def values(self) -> dict[str, float]:
         """Pairs on disk, duplicates, waits given up, whether the disk refuses to write, each model's memories and how

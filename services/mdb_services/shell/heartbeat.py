@@ -17,7 +17,7 @@ VARIABLE = "MDB_HEARTBEAT"
 """Holds the number of the pipe's end that is written to."""
 BEAT_S = 0.2
 """So often the same is said again."""
-SILENT_S = 2.0
+SILENT_S = 2.5
 """Who is silent for longer hangs, unless something else was said."""
 START_S = 30.0
 """Between the first sign of life and the loop: imports, a router, the predecessor's tokens, a body."""
