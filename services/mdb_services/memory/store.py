@@ -17,7 +17,7 @@ import numpy as np
 import structlog
 
 from mdb_protocol import keys, messages
-from mdb_protocol.bus import AT_ONCE, Bus, Publisher
+from mdb_protocol.bus import Bus, Publisher
 from mdb_protocol.errors import DecodeError
 from mdb_services.experiment.brain import BrainConfig
 from mdb_services.mechanism.feedback.praise import LATELY
@@ -25,15 +25,14 @@ from mdb_services.mechanism.networks.network import Network
 from mdb_services.memory.file import Effects, MemoryFile
 from mdb_services.memory.model_memory import ModelMemory
 from mdb_services.shell.elsewhere import Elsewhere
-from mdb_services.shell.heartbeat import SILENT_S
 
 log = structlog.get_logger()
 
 ROLE = "memory"
 FAR = 100
 """Pairs that may be on their way together and overtake one another."""
-PAIR_S = 0.1
-"""No message that waits takes longer, by far; many wait for a store that was dead."""
+STEP_S = 0.5
+"""After this queries are answered and the heart beats, though pairs wait: many wait for a store that was dead."""
 RETRY_S = 1.0
 """How often a disk that takes nothing is tried again."""
 
@@ -112,8 +111,8 @@ class MemoryStore:
                 log.info("beginning with a model of another run", model=memory.name)
 
     def step(self) -> bool:
-        """Take the newest models, then every pair that has come."""
-        moved = False
+        """Take the newest models, then every pair that has come, or those for which there is time."""
+        moved, began_s = False, self._clock()
         for model in self._models.some():
             moved = True
             if model.model in self._memories and self._remember(model):
@@ -132,6 +131,8 @@ class MemoryStore:
                 break
             self._waiting = None
             moved = True
+            if self._clock() - began_s > STEP_S:
+                break
         return moved
 
     def _could_be(self, pair: messages.Pair) -> bool:
@@ -281,10 +282,6 @@ class MemoryStore:
         stored = messages.PairStored(iteration=pair.iteration, versions=versions, judged=judged)
         self._file.add(pair, stored, effects)
         return effects, stored
-
-    def next_s(self) -> float:
-        """See `Bounded`: a step stores all that waits, or the first of a flood."""
-        return SILENT_S + PAIR_S * min(self.bus.queued(), AT_ONCE)
 
     def values(self) -> dict[str, float]:
         """Pairs on disk, duplicates, waits given up, whether the disk refuses to write, each model's memories and how
