@@ -77,11 +77,12 @@ def test_without_who_looks_after_it_it_stops(router: psutil.Popen) -> None:
     until(lambda: not inside.is_running() or inside.status() == psutil.STATUS_ZOMBIE)
 
 
-def test_a_service_is_told_to_stop_once_the_run_is_finished() -> None:
+def test_a_service_is_told_to_stop_once_the_run_is_finished(tmp_path: Path) -> None:
     fabric = Fabric()
-    told = or_finished(lambda: False, MemoryBus(fabric, "one"))
+    told = or_finished(lambda: False, MemoryBus(fabric, "one"), tmp_path)
     assert not told()
     MemoryBus(fabric, "one").publisher(keys.FINISHED).put(Finished(iterations=3))
     assert told()
     assert told(), "and it stays so"
-    assert or_finished(lambda: True, MemoryBus(fabric, "two"))()
+    assert or_finished(lambda: False, MemoryBus(fabric, "two"), tmp_path)(), "who was cut off finds it in the folder"
+    assert or_finished(lambda: True, MemoryBus(fabric, "two"), tmp_path / "other")()

@@ -72,6 +72,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _prepare(arguments: argparse.Namespace) -> int:
+    from mdb_deploy.running.unattended import FINISHED_FILE
     from mdb_services.experiment.brain import EXPERIMENT_FILE
     from mdb_sim.runs.experiment import Experiment
 
@@ -80,6 +81,7 @@ def _prepare(arguments: argparse.Namespace) -> int:
     experiment = Experiment(content_of(path, arguments), path)
     experiment.check_machine()
     arguments.run.mkdir(parents=True, exist_ok=True)
+    (arguments.run / FINISHED_FILE).unlink(missing_ok=True)
     experiment.write(arguments.run / EXPERIMENT_FILE)
     return 0
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from mdb_deploy.running.progress import Progress
+from mdb_deploy.running.unattended import FINISHED_FILE
 from mdb_deploy.running.watch import Watch
 
 POLL_S = 0.05
@@ -22,7 +23,7 @@ def follow(watch: Watch, connect: str, progress: Progress, stop: Callable[[], bo
     try:
         watch.join(connect)
         with progress:
-            while not watch.finished():
+            while not watch.finished() and not (watch.run / FINISHED_FILE).exists():
                 if stop():
                     return False
                 watch.show(progress)

@@ -15,7 +15,7 @@ from pathlib import Path
 import structlog
 
 from mdb_deploy.keys.access import ACCESS_FILE
-from mdb_deploy.running.unattended import or_finished
+from mdb_deploy.running.unattended import FINISHED_FILE, or_finished
 from mdb_protocol import endpoints
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, ConfigError, DamageError
@@ -93,7 +93,7 @@ def _over(options: RouterOptions, endpoint: str) -> Callable[[], bool]:
         return lambda: False
     brain = Experiment.read(options.run / EXPERIMENT_FILE).brain.experiment.brain
     bus = ZenohBus(brain, endpoint, credentials=options.keys, connect_timeout_s=CONNECT_S)
-    finished, until_s = or_finished(lambda: False, bus), math.inf
+    finished, until_s = or_finished(lambda: False, bus, options.run), math.inf
 
     def over() -> bool:
         nonlocal until_s
@@ -169,6 +169,8 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper, heart: Heart)
     """Build and run one service of the experiment in the run folder."""
     heart.beat(COMPILE_S if name == EVOLVER else START_S)
     run_folder = options.run
+    if options.until_finished and (run_folder / FINISHED_FILE).exists():
+        return  # it died as the run ended
     experiment = Experiment.read(run_folder / EXPERIMENT_FILE)
     builders: dict[str, Callable[[Bus], Service]] = {
         "recorder": lambda bus: _recorder(bus, run_folder),
@@ -203,7 +205,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper, heart: Heart)
     except BaseException:
         bus.close()
         raise
-    run(service, or_finished(stop, bus) if options.until_finished else stop, run_folder, heart)
+    run(service, or_finished(stop, bus, run_folder) if options.until_finished else stop, run_folder, heart)
 
 
 def _recorder(bus: Bus, run_folder: Path) -> Service:

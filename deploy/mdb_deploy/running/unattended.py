@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -25,6 +26,9 @@ log = structlog.get_logger()
 
 FEEL_S = 0.1
 HUNG = 1
+FINISHED_FILE = "finished"
+LOOK_S = 0.5
+"""So often that file is looked for."""
 BEATS_VARIABLE = "MDB_BEATS"
 """Holds the path of that file; none without it."""
 UNATTENDED, UNTIL_FINISHED = "--unattended", "--until-finished"
@@ -55,13 +59,21 @@ def run_unattended(words: Sequence[str]) -> int:
             return HUNG
 
 
-def or_finished(stop: Callable[[], bool], bus: Bus) -> Callable[[], bool]:
-    """Return a function that says to stop when `stop` does, or once the brain's run is finished."""
-    inbox, seen = bus.subscriber(keys.FINISHED), False
+def or_finished(stop: Callable[[], bool], bus: Bus, run: Path) -> Callable[[], bool]:
+    """Return a function that says to stop when `stop` does, or once the brain's run is finished.
+
+    Who hears of it writes it into the run folder, for those who are cut off at that moment, or dead.
+    """
+    inbox, seen, look_s = bus.subscriber(keys.FINISHED), False, 0.0
 
     def told() -> bool:
-        nonlocal seen
-        seen = seen or inbox.take() is not None
+        nonlocal seen, look_s
+        if not seen and inbox.take() is not None:
+            seen = True
+            with suppress(OSError):
+                (run / FINISHED_FILE).touch()
+        if not seen and time.monotonic() >= look_s:
+            look_s, seen = time.monotonic() + LOOK_S, (run / FINISHED_FILE).exists()
         return seen or stop()
 
     return told

@@ -52,7 +52,7 @@ class Watch:
         settings = experiment.brain.optimizer
         self.patience_s = settings.command_patience_s + settings.feedback_patience_s
         """How long a teacher who hesitates may hold up an iteration."""
-        self._run, self._credentials = run, credentials
+        self.run, self._credentials = run, credentials
         self._folder = RunFolder(run, experiment.brain.store.when_full)
         self._endpoint, self._where = run / ENDPOINT_FILE, ""
         self._bus: ZenohBus | None = None
@@ -111,7 +111,7 @@ class Watch:
             self._alone_s = now_s
         elif now_s - self._alone_s > GONE_S:
             mixed = MIXED.format(robots=robots, brain=self._brain)
-            raise TakenError(f"{mixed}. Stop all but one, and go on with 'mdb up --resume {self._run}'")
+            raise TakenError(f"{mixed}. Stop all but one, and go on with 'mdb up --resume {self.run}'")
 
     def _find(self, endpoint: str) -> None:
         try:
@@ -125,7 +125,7 @@ class Watch:
     def _join(self, bus: ZenohBus) -> None:
         self._bus = self.bus = bus
         hold(bus, self.role, self.instance)
-        self._meter = announce(self, self._run)
+        self._meter = announce(self, self.run)
         self._perceptions = bus.subscriber(keys.PERCEPTION)
         self._reports = bus.subscriber(keys.ITERATION)
         self._scenes = bus.subscriber(keys.SCENE)
@@ -160,12 +160,12 @@ class Watch:
     def lost(self) -> str:
         """Return what there is to say of a run in which nothing moves any more."""
         if self._folder.trouble:
-            return f": the run folder {self._run} is {self._folder.trouble}"
+            return f": the run folder {self.run} is {self._folder.trouble}"
         if self._bus is not None and self._bus.connected():
-            return f"; the logs of the processes are in {self._run / 'logs'}"
+            return f"; the logs of the processes are in {self.run / 'logs'}"
         return (
             f": the router at {self._where} is gone. One that 'mdb up' starts ends with it; 'mdb run router' starts "
-            f"one that stays. Go on with 'mdb up --resume {self._run} --connect ENDPOINT'"
+            f"one that stays. Go on with 'mdb up --resume {self.run} --connect ENDPOINT'"
         )
 
     def finished(self) -> bool:
