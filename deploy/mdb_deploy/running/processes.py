@@ -22,7 +22,7 @@ from mdb_protocol.errors import BusError, ConfigError, DamageError
 from mdb_protocol.holding import hold
 from mdb_protocol.zenoh_bus import Router, RouterKeys, ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
-from mdb_services.shell.heartbeat import BEAT_S, COMPILE_S, START_S, Heart
+from mdb_services.shell.heartbeat import BEAT_S, CLOSE_S, COMPILE_S, START_S, Heart
 from mdb_services.shell.service import Service, Stopper, run
 from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
@@ -78,12 +78,14 @@ def run_router(options: RouterOptions, stop: Stopper, heart: Heart) -> None:
         while not stop() and not changed():
             if over():
                 log.info("the run is finished")
+                heart.beat(CLOSE_S)
                 router.close()
                 return
             if (now_s := time.monotonic()) - asked_s >= BEAT_S and router.answers():
                 asked_s = now_s
                 heart.beat()
             time.sleep(0.05)
+        heart.beat(CLOSE_S)
         router.close()
 
 
