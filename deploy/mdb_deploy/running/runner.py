@@ -40,6 +40,8 @@ QUICK_DEATHS = 5
 BACKOFF_S = 0.2
 """Before the start that follows a second quick death in a row; twice as long after each further one."""
 PAUSE_S = 0.02
+EXCUSED_S = 1.0
+"""After the router is back, others that waited for it have so long to show a sign of life."""
 FEEL_S = 0.1
 """So often hearts are listened to."""
 LAST_LINES = 15
@@ -225,15 +227,18 @@ class Runner:
                 pulse.child_has_it()
 
     async def _listen(self) -> None:
-        """Listen to the hearts, and end who hangs. While the router is silent others may wait for it: none counts."""
+        """Listen to the hearts, and end who hangs; nobody but the router while others may be waiting for it."""
         router = self.children.get(ROUTER)
+        excused_until_s = 0.0
         while True:
             await asyncio.sleep(FEEL_S)
             for child in self.children.values():
-                if child.pulse is None or child.process is None or child.process.returncode is not None:
-                    continue
-                child.pulse.feel(counts=child is router or router is None or _routes(router))
-                if child.pulse.hangs(child.patience) and not child.ended_for:
+                if child.pulse is not None and child.process is not None and child.process.returncode is None:
+                    child.pulse.feel()
+            if router is not None and not _routes(router):
+                excused_until_s = time.monotonic() + EXCUSED_S
+            for child in self.children.values() if time.monotonic() >= excused_until_s else [router]:
+                if child and child.pulse and child.pulse.hangs(child.patience) and not child.ended_for:
                     child.end(f"it hung: no sign of life for {child.pulse.silent_s:.1f} s")
 
     def _fail(self, why: str) -> None:

@@ -94,14 +94,14 @@ class Pulse:
             os.close(self.child_pipe)
             self.child_pipe = -1
 
-    def feel(self, *, counts: bool = True) -> None:
-        """Take in the beats since the last call. Without `counts` the silence since then is excused."""
+    def feel(self) -> None:
+        """Take in the beats since the last call."""
         now_s = self._clock()
         passed_s, self._felt_s = min(now_s - self._felt_s, TURN_S), now_s
         if (beats := self._beats()).endswith(b"\n"):
             self.silent_s, self._limit_s = 0.0, float(beats.split()[-1])
             self.ready = self.ready or READY.encode() in beats
-        elif counts:
+        else:
             self.silent_s += passed_s
 
     def _beats(self) -> bytes:
