@@ -166,7 +166,7 @@ class Runner:
 
     async def _live(self, child: Child, on_ready: Callable[[str], None]) -> tuple[int | None, str]:
         """Start a process and follow it until it is dead; return its status and, where it is known, why it died."""
-        child.started_s, child.process, child.ended_for = time.monotonic(), None, ""
+        child.started_s, child.process, child.pulse, child.ended_for = time.monotonic(), None, None, ""
         try:
             child.process = process = await self._spawn(child)
         except (OSError, RuntimeError) as error:  # no log file, no descriptor, no memory, no thread left
@@ -237,8 +237,9 @@ class Runner:
                     child.pulse.feel()
             if router is not None and not _routes(router):
                 excused_until_s = time.monotonic() + EXCUSED_S
-            for child in self.children.values() if time.monotonic() >= excused_until_s else [router]:
-                if child and child.pulse and child.pulse.hangs(child.patience) and not child.ended_for:
+            for child in self.children.values():
+                excused = child is not router and time.monotonic() < excused_until_s
+                if child.pulse and child.pulse.hangs(child.patience) and not (excused or child.ended_for):
                     child.end(f"it hung: no sign of life for {child.pulse.silent_s:.1f} s")
 
     def _fail(self, why: str) -> None:
