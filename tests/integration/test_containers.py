@@ -140,7 +140,7 @@ def test_a_run_in_containers_survives_a_hang_and_ends_with_figures_and_a_last_li
 
     state = containers.states()
     assert {name: one["ExitCode"] for name, one in state.items()} == dict.fromkeys(state, 0)
-    assert {name for name, one in state.items() if one["restarts"]} == {"memory"}
+    assert state["memory"]["restarts"]
     assert any("it hung and was ended" in line for line in containers.log("memory"))
     seen = containers.log("follow")
     assert any(f"iteration {ITERATIONS}/{ITERATIONS}" in line for line in seen)
