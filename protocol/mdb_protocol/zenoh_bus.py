@@ -43,6 +43,8 @@ LEASE_MS = 2000
 RETRY_MS = 50
 """A client that has lost its router tries again after this; the waits grow to four times as long."""
 TOKENS_S, DEFAULT_ENDPOINT = 2.0, endpoints.USUAL
+ADMIN = "@/*/router"
+"""Where a router tells of itself."""
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 
 
@@ -376,11 +378,15 @@ class Router:
 
     def endpoint(self) -> str:
         """Return where a client on this machine connects: the first endpoint it listens on, with the real port."""
-        for reply in self._session.get("@/*/router", timeout=2.0):
+        for reply in self._session.get(ADMIN, timeout=TOKENS_S):
             if reply.ok is not None:
                 locators: list[str] = json.loads(reply.ok.payload.to_bytes())["locators"]
                 return self._on_this_machine(locators)
         raise BusError("the router does not say where it listens; is its admin space switched off?")
+
+    def answers(self) -> bool:
+        """Whether the router's own threads answer a query; waits `TOKENS_S` at most."""
+        return any(reply.ok is not None for reply in self._session.get(ADMIN, timeout=TOKENS_S))
 
     def _on_this_machine(self, locators: list[str]) -> str:
         """Undo that a router which listens on all addresses names the outer ones only."""

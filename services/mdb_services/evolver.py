@@ -24,6 +24,7 @@ from mdb_services.mechanism.memories.stm import Change, MemoryMirror, VersionGap
 from mdb_services.mechanism.networks.encoding import Codebook
 from mdb_services.mechanism.networks.network import Floats, Network, Shape
 from mdb_services.mechanism.settings import DifferentialConfig, EvolutionConfig
+from mdb_services.shell.heartbeat import COMPILE_S, SILENT_S
 from mdb_services.shell.snapshot import snapshot_of
 
 log = structlog.get_logger()
@@ -31,6 +32,8 @@ log = structlog.get_logger()
 ROLE = "evolver"
 QUERY_S = 2.0
 """Bound on asking the memory store; without an answer the next step asks again."""
+SLOWER = 20.0
+"""A version may take so many times longer to learn than any before it: a fuller memory, a busier machine."""
 
 
 def compile_kernels() -> None:
@@ -68,7 +71,7 @@ class Evolver:
         self._learnt_version = 0
         self._generations = 0
         self._error = 0.0
-        self._step_s = 0.0
+        self._step_s = self._longest_s = 0.0
         self._joined = False
         self._ahead = 0
         """The version of a change that did not follow, for which the memory store is asked; 0 when there is none."""
@@ -210,6 +213,7 @@ class Evolver:
         if self._learnt_version - self._kept_version >= self._every:
             self._keep()
         self._step_s = time.perf_counter() - started
+        self._longest_s = max(self._longest_s, self._step_s)
 
     def _show(self, best: Best, inputs: Floats) -> None:
         """Publish the best network as the current model, with the inputs (n, inputs) that support it if asked for."""
@@ -244,6 +248,13 @@ class Evolver:
                 memory=memory,
             )
         )
+
+    def next_s(self) -> float:
+        """See `Bounded`: the memory store is asked, or a version is learnt; the first shows how long that takes."""
+        if not self._joined:
+            return 2 * QUERY_S + SILENT_S
+        first = not self._longest_s and (self._missed or self.bus.queued())
+        return COMPILE_S if first else max(SILENT_S, SLOWER * self._longest_s)
 
     def values(self) -> dict[str, float]:
         """Version learnt and behind, generations, error over the memory, duration of the last learning."""

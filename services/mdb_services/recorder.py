@@ -27,6 +27,7 @@ from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
 from mdb_services import log_records
 from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.shell.place import Place
 
 log = structlog.get_logger()
 
@@ -85,6 +86,7 @@ class Recorder:
         """Begin a segment; OSError when the disk does not take its head, and then there is none."""
         path = next_segment(self._run)
         self._file = path.open("xb")
+        self._place = Place(path)
         try:
             self._writer = Writer(self._file, use_chunking=False)
             self._writer.start(profile="mdb", library=f"mdb protocol {codec.VERSION}")
@@ -136,6 +138,7 @@ class Recorder:
             if self._file is None:
                 self._begin()
             write()
+            self._place.check()
         except OSError as error:
             if not self._retry_s:
                 log.error("cannot write the run log; what comes meanwhile is lost to it", reason=str(error))

@@ -9,7 +9,7 @@ import pytest
 from mdb_deploy.experiments import experiment_path
 from mdb_deploy.running.compose import read
 from mdb_deploy.trials.chaos import Commander, Pending
-from mdb_deploy.trials.chaos_report import BY_A_LOT, P99_S, Kill, Report, Row
+from mdb_deploy.trials.chaos_report import BY_A_LOT, HANG_MEDIAN_S, P99_S, Kill, Report, Row
 from mdb_deploy.trials.evidence import Findings
 from mdb_deploy.trials.soak import FIGURES, Soak
 from mdb_deploy.trials.under_test import Member, long_experiment
@@ -130,3 +130,24 @@ def test_a_process_is_known_by_its_command_line() -> None:
     command = ["python", "-m", "mdb_deploy.cli", "run", "evolver", "--model", "object", "--run", "/run"]
     assert [name for name, member in members.items() if member.is_it(command)] == ["evolver-object"]
     assert not any(member.is_it(["python", "-c", "pass"]) for member in members.values())
+
+
+def test_hangs_have_a_table_and_bounds_of_their_own() -> None:
+    hung = [replace(kill, hang=True) for kill in kills("robot", HANG_MEDIAN_S - 1.0, HANG_MEDIAN_S - 0.5)]
+    both = replace(
+        report(0.5), kills=[*kills("memory", 0.5), *hung], hung=Row.by_role(hung), hung_total=Row.of("all", hung)
+    )
+    assert both.holds
+    assert both.within_bounds
+    assert "| recovery from a hang, median < 4 s | 3.25 s | yes |" in both.markdown()
+    assert "| robot | 2 | 3.25 |" in both.markdown()
+    assert "1 kills (SIGKILL) and 2 hangs (SIGSTOP, for good)" in both.markdown()
+    slow = kills("robot", BY_A_LOT * HANG_MEDIAN_S + 1.0)
+    assert not replace(both, hung_total=Row.of("all", slow)).holds
+
+
+def test_of_hangs_alone_only_their_bounds_count() -> None:
+    hung = [replace(kill, hang=True) for kill in kills("robot", 2.5)]
+    alone = replace(report(), kills=hung, rows=[], hung=Row.by_role(hung), hung_total=Row.of("all", hung))
+    assert alone.holds
+    assert "killed" not in alone.markdown()

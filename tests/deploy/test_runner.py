@@ -2,13 +2,17 @@
 
 import asyncio
 import os
+import resource
+import shutil
 import signal
 import sys
 import time
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from mdb_deploy.running import runner as module
 from mdb_deploy.running.compose import ProcessSpec
@@ -141,3 +145,132 @@ def test_the_first_restart_is_immediate_and_later_ones_wait_ever_longer() -> Non
     spec = ProcessSpec("one", ("true",), (), "role/one", {}, True)
     waits = [Child(spec, Path("log"), quick_deaths=n).backoff_s for n in range(QUICK_DEATHS)]
     assert waits == [0.0, 0.0, BACKOFF_S, 2 * BACKOFF_S, 4 * BACKOFF_S]
+
+
+BEATS = (
+    "import os, pathlib, time; from mdb_services.shell.heartbeat import Heart; flag = pathlib.Path({flag!r}); "
+    "heart = Heart.inherited()\n"
+)
+HANGS_ONCE = BEATS + (
+    "again = flag.parent / 'again'\nhangs = not again.exists()\nagain.touch()\nflag.touch()\n"
+    "while True:\n    heart.beat(0.3)\n    time.sleep(60 if hangs else 0.01)"
+)
+NEVER_GETS_READY = BEATS + "heart.beat(0.3)\ntime.sleep(60)"
+
+
+def test_a_process_whose_loop_hangs_is_ended_and_started_again(tmp_path: Path) -> None:
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        await until(lambda: rig.child.restarts == 1 and rig.child.ready)
+        assert not rig.runner.failed.done()
+
+    with capture_logs() as said:
+        run(lambda: Rig(tmp_path, HANGS_ONCE), check)
+    (died,) = (line for line in said if line["event"] == "process died")
+    assert died["reason"].startswith("it hung: no sign of life for ")
+
+
+def test_a_process_that_is_stopped_for_good_is_ended_and_started_again(tmp_path: Path) -> None:
+    lives = BEATS + "flag.touch()\nwhile True:\n    heart.beat(0.3)\n    time.sleep(0.01)"
+
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        assert rig.child.process is not None
+        await until(lambda: rig.child.pulse is not None and rig.child.pulse._limit_s)
+        os.kill(rig.child.process.pid, signal.SIGSTOP)
+        rig.flag.unlink()
+        await until(lambda: rig.child.restarts == 1 and rig.child.ready)
+
+    run(lambda: Rig(tmp_path, lives), check)
+
+
+def test_one_that_hangs_at_each_start_ends_the_run_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "BACKOFF_S", 0.01)
+    monkeypatch.setattr(Child, "patience", 1.0)
+
+    async def check(rig: Rig) -> None:
+        with pytest.raises(StartError, match=r"5 times in a row .* last with status -9: it hung: no sign"):
+            await rig.runner.start()
+
+    run(lambda: Rig(tmp_path, NEVER_GETS_READY), check)
+
+
+def test_who_dies_quickly_again_and_again_is_given_more_time_to_show_a_sign_of_life() -> None:
+    spec = ProcessSpec("one", ("true",), (), "role/one", {}, True)
+    assert [Child(spec, Path("log"), quick_deaths=n).patience for n in range(4)] == [1.0, 2.0, 4.0, 8.0]
+
+
+def test_a_log_folder_that_was_deleted_is_made_again(tmp_path: Path) -> None:
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        shutil.rmtree(tmp_path / "logs")
+        rig.kill()
+        await until(lambda: rig.child.restarts == 1 and rig.child.ready)
+        assert rig.child.log_path.exists()
+
+    run(lambda: Rig(tmp_path, LIVES), check)
+
+
+def test_a_start_that_fails_is_a_death_that_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "BACKOFF_S", 0.01)
+
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        shutil.rmtree(tmp_path / "logs")
+        (tmp_path / "logs").write_text("in the way")
+        rig.kill()
+        await until(lambda: rig.child.quick_deaths >= 2)
+        (tmp_path / "logs").unlink()
+        await until(lambda: rig.child.ready)
+        assert not rig.runner.failed.done()
+
+    run(lambda: Rig(tmp_path, LIVES), check)
+
+
+def test_a_start_that_fails_again_and_again_ends_the_run_saying_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "BACKOFF_S", 0.01)
+
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        (tmp_path / "logs").rename(tmp_path / "elsewhere")
+        (tmp_path / "logs").write_text("in the way")
+        rig.kill()
+        said = str(await asyncio.wait_for(rig.runner.failed, BOUND_S))
+        assert f"one died {QUICK_DEATHS} times in a row" in said
+        assert "last for it cannot be started: [Errno 17] File exists" in said
+
+    run(lambda: Rig(tmp_path, LIVES), check)
+
+
+def test_without_descriptors_for_a_while_the_process_comes_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "BACKOFF_S", 0.01)
+
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+        try:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))  # what is open stays open
+            rig.kill()
+            await until(lambda: rig.child.quick_deaths >= 2)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        await until(lambda: rig.child.ready)
+
+    run(lambda: Rig(tmp_path, LIVES), check)
+
+
+def test_a_mistake_in_the_runner_itself_ends_the_run(tmp_path: Path) -> None:
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        rig.child.spec = replace(rig.child.spec, command=("${NOTHING}",))
+        rig.kill()
+        said = str(await asyncio.wait_for(rig.runner.failed, BOUND_S))
+        assert "the runner itself failed: ConfigError: ${NOTHING}" in said
+
+    run(lambda: Rig(tmp_path, LIVES), check)

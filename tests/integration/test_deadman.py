@@ -3,6 +3,7 @@
 import os
 import signal
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
 import pytest
@@ -58,6 +59,13 @@ def robots(brain: Brain, bus: ZenohBus) -> dict[str, float]:
     return status.values
 
 
+@contextmanager
+def unattended(brain: Brain) -> Iterator[None]:
+    """Nobody is started again, and who is frozen is not ended, for the supervisor is frozen, too."""
+    with frozen(brain.process.pid):
+        yield
+
+
 def goes_on(ears: Ears, more: int = 20) -> None:
     """Return when so many iterations were done from now on."""
     first = len(ears.heard)
@@ -78,7 +86,7 @@ def test_without_an_optimizer_the_robot_stands_still_and_with_the_next_one_it_go
 ) -> None:
     brain, bus, _ = watched
     optimizer = pid_of(brain, bus, "optimizer", "action")
-    with frozen(brain.process.pid):  # so that it is not started again at once
+    with unattended(brain):
         os.kill(optimizer, signal.SIGKILL)
         ears.listen(0.3)
         stood = stands(ears, 2.0)
@@ -90,7 +98,8 @@ def test_without_an_optimizer_the_robot_stands_still_and_with_the_next_one_it_go
 
 def test_a_frozen_optimizer_moves_nothing_then_and_nothing_stale_after(watched: Watched, ears: Ears) -> None:
     brain, bus, _ = watched
-    with frozen(pid_of(brain, bus, "optimizer", "action")):
+    optimizer = pid_of(brain, bus, "optimizer", "action")
+    with unattended(brain), frozen(optimizer):
         ears.listen(0.3)
         stands(ears, 2.5)
     goes_on(ears)
@@ -101,14 +110,15 @@ def test_a_robot_that_was_frozen_does_none_of_the_actions_that_came_meanwhile(wa
     brain, bus, _ = watched
     robot, optimizer = pid_of(brain, bus, "robot", "body"), pid_of(brain, bus, "optimizer", "action")
     late = robots(brain, bus)["late"]
-    with frozen(optimizer):
-        ears.listen(0.3)
-        stood = stands(ears, 0.6)
-        os.kill(robot, signal.SIGSTOP)
-    try:  # the optimizer answers what the robot had shown before it froze, again and again
-        meanwhile = of(ears.listen(3.0), messages.Action)
-    finally:
-        os.kill(robot, signal.SIGCONT)
+    with unattended(brain):
+        with frozen(optimizer):
+            ears.listen(0.3)
+            stood = stands(ears, 0.6)
+            os.kill(robot, signal.SIGSTOP)
+        try:  # the optimizer answers what the robot had shown before it froze, again and again
+            meanwhile = of(ears.listen(3.0), messages.Action)
+        finally:
+            os.kill(robot, signal.SIGCONT)
     waiting = [action for action in meanwhile if action.iteration == stood]
     assert len(waiting) >= 3, "actions came while it was frozen"
     stale = max(action.stamp for action in waiting)
@@ -136,7 +146,8 @@ def check_nothing_stale(ears: Ears) -> None:
 
 def test_a_frozen_memory_store_stops_the_robot_in_time_and_costs_no_pair(watched: Watched, ears: Ears) -> None:
     brain, bus, _ = watched
-    with frozen(pid_of(brain, bus, "memory", "store")):
+    memory = pid_of(brain, bus, "memory", "store")
+    with unattended(brain), frozen(memory):
         ears.listen(4.0)
         ahead = of(ears.heard, messages.IterationReport)[-1].iteration - last_stored(ears)
         assert 0 < ahead <= UNSTORED + 1
@@ -165,10 +176,34 @@ def test_who_is_frozen_holds_up_acting_for_a_bounded_time(
     brain, bus, _ = watched
     began_s = ears.heard[-1].at_s
     before = longest_gap_s(ears.heard, messages.IterationReport, ears.heard[0].at_s, began_s)
-    with frozen(pid_of(brain, bus, role, instance)):
+    one = pid_of(brain, bus, role, instance)
+    with unattended(brain), frozen(one):
         ears.listen(bound_s + 1.5)
     ended_s = ears.heard[-1].at_s
     gap_s = longest_gap_s(ears.heard, messages.IterationReport, began_s, ended_s)
     said = f"{role} frozen: longest gap {gap_s:.2f} s, before {before:.2f} s"
     assert gap_s < bound_s + max(before, SCHEDULING_S), said
     goes_on(ears)
+
+
+@pytest.mark.parametrize(("role", "instance"), [("optimizer", "action"), ("memory", "store"), ("robot", "body")])
+def test_who_hangs_is_replaced_and_nobody_else_is(watched: Watched, ears: Ears, role: str, instance: str) -> None:
+    brain, bus, _ = watched
+    before = {child.pid for child in brain.children()}
+    hung = pid_of(brain, bus, role, instance)
+    os.kill(hung, signal.SIGSTOP)
+    until(lambda: hung not in {child.pid for child in brain.children()})
+    goes_on(ears)
+    assert pid_of(brain, bus, role, instance) != hung
+    assert before - {child.pid for child in brain.children()} == {hung}
+
+
+def test_after_a_sleep_of_everybody_nobody_is_replaced(watched: Watched, ears: Ears) -> None:
+    brain, _, _ = watched
+    before = {child.pid for child in brain.children()}
+    with ExitStack() as asleep:
+        for pid in (brain.process.pid, *before):
+            asleep.enter_context(frozen(pid))
+        ears.listen(4.0)
+    goes_on(ears)
+    assert {child.pid for child in brain.children()} == before

@@ -122,7 +122,7 @@ def test_who_comes_late_gets_at_once_what_everybody_knows(tmp_path: Path) -> Non
         ears = Ears(bus)
         goes_on(ears)
         optimizer = status(brain, bus, "optimizer", "action").pid
-        with frozen(optimizer), brain.bus() as late:  # so that nothing new is said
+        with frozen(brain.process.pid, optimizer), brain.bus() as late:  # so that nothing new is said
             rows = (keys.PERCEPTION, keys.SCENE, keys.COMMAND, keys.FEEDBACK, keys.PHASE, keys.CURRENT_MODEL)
             inboxes = {row.path: late.subscriber(row) for row in rows}
             known: dict[str, list[Message]] = {path: [] for path in inboxes}

@@ -45,7 +45,7 @@ def test_status_tells_how_each_service_does(tmp_path: Path) -> None:
         assert all(name in table.stdout for name in WHO)
         robot = brain.status(bus, "robot", "body")
         assert isinstance(robot, messages.Status)
-        with frozen(robot.pid):
+        with frozen(brain.process.pid, robot.pid):  # so that it is not ended
             rows = told(*where)
         silent = rows.get("robot/body")
         assert silent is None or not silent["answers"], "frozen: no answer, and after two seconds no token either"

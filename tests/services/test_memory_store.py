@@ -477,3 +477,18 @@ def test_from_an_iteration_on_pairs_are_stored_and_nothing_is_learnt_of_them(mak
     rig.restart()
     rig.give(pair(4))
     assert rig.snapshots()["object"]["pairs"] == [0, 1]
+
+
+def test_pairs_are_not_acknowledged_while_the_file_is_not_in_its_place(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "memory.sqlite", config())
+    rig.give(pair(0))
+    assert len(taken(rig.stored)) == 1
+    away = rig.path.with_name("away")
+    rig.path.rename(away)
+    rig.give(pair(1))
+    assert taken(rig.stored) == []
+    assert rig.store.values()["disk_refuses"] == 1.0
+    away.rename(rig.path)
+    rig.now += RETRY_S
+    rig.give()
+    assert [stored.iteration for stored in taken(rig.stored)] == [1]

@@ -14,6 +14,7 @@ more iterations are done. A witness, a process outside the brain, writes down wh
 that must be in the memory, once, as it was. Status 1 when it is not, or recovery is far too slow.
 
   mdb chaos                                      300 kills, the paper's experiment over and over: some ten minutes
+  mdb chaos --hangs 0.3                          a third are stopped for good: to be noticed, and replaced
   mdb chaos --kills 12 --roles memory,optimizer --set robot.body=kinematic
   mdb chaos --pace lockstep --iterations 500     to the experiment's end, however many kills fit in
   mdb chaos --soak 60                            no kills: full speed, and what each process holds
@@ -32,6 +33,9 @@ def add(commands: Commands) -> None:
     )
     add_experiment(chaos)
     chaos.add_argument("--kills", type=int, default=300, help="how many (300)")
+    chaos.add_argument(
+        "--hangs", type=float, default=0.0, metavar="SHARE", help="share of them that hang instead, as 0.3 (0)"
+    )
     chaos.add_argument("--roles", default="", help="who may die, as in memory,evolver-object (everybody)")
     chaos.add_argument("--bound", type=float, default=20.0, metavar="SECONDS", help="give up on a recovery (20)")
     chaos.add_argument("--pause", type=float, default=1.0, metavar="SECONDS", help="to the next kill, at most (1)")
@@ -54,6 +58,7 @@ def _chaos(arguments: argparse.Namespace) -> int:
             overrides,
             out,
             kills=arguments.kills,
+            hangs=arguments.hangs,
             seed=arguments.seed or 0,
             roles=tuple(name for name in arguments.roles.split(",") if name),
             bound_s=arguments.bound,

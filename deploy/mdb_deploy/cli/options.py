@@ -33,7 +33,9 @@ def add_experiment(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--pace", choices=["concurrent", "lockstep"], help="override the file's pace")
     parser.add_argument("--seed", type=int, help="override the file's seed")
-    parser.add_argument("--iterations", type=int, help="override the file's number of iterations")
+    parser.add_argument(
+        "--iterations", type=lambda text: int(text) if text else None, help="override the file's number of iterations"
+    )  # compose.yaml gives an empty word for none
     parser.add_argument(
         "--without-pybullet", action="store_true", help="where the file says pybullet, use its kinematic twin"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from mdb_deploy.cli.options import Commands, add_keys
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
@@ -17,7 +18,8 @@ def add(commands: Commands) -> None:
         parser.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
         add_keys(parser)
     status.add_argument("--brain", help="the brain's name (all brains of the router)")
-    health.add_argument("--brain", default="pioneer", help="the brain's name")
+    health.add_argument("--brain", help="the brain's name (any brain of the router)")
+    health.add_argument("--run", type=Path, help="its run folder, which tells the brain's name")
     status.add_argument("--json", action="store_true", help="one line of JSON a brain, for scripts")
     status.add_argument(
         "--watch", type=float, nargs="?", const=1.0, metavar="SECONDS", help="again and again (every second)"
@@ -37,5 +39,29 @@ def _status(arguments: argparse.Namespace) -> int:
 def _health(arguments: argparse.Namespace) -> int:
     from mdb_protocol.zenoh_bus import ZenohBus
 
-    with ZenohBus(arguments.brain, arguments.connect, credentials=arguments.keys, connect_timeout_s=1.0) as bus:
-        return 0 if arguments.name == "router" or arguments.name in bus.alive() else 1
+    brain = arguments.brain or _brain_of(arguments.run)
+
+    def bus_of(name: str) -> ZenohBus:
+        return ZenohBus(name, arguments.connect, credentials=arguments.keys, connect_timeout_s=1.0)
+
+    bus = bus_of(brain or "any")
+    with bus:
+        if arguments.name == "router":
+            return 0
+        brains = [brain] if brain is not None else bus.brains()
+    for name in brains:
+        with bus_of(name) as one:
+            if arguments.name in one.alive():
+                return 0
+    return 1
+
+
+def _brain_of(run: Path | None) -> str | None:
+    """Return the name of the brain of a run; None without one."""
+    if run is None:
+        return None
+    from mdb_services.experiment.brain import EXPERIMENT_FILE
+    from mdb_services.experiment.reading import read_file
+    from mdb_services.experiment.sections import DEFAULT_BRAIN
+
+    return str(read_file(run / EXPERIMENT_FILE)["experiment"].get("brain", DEFAULT_BRAIN))

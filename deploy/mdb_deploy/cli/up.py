@@ -111,6 +111,8 @@ def _up(arguments: argparse.Namespace) -> int:
         console.print(f"begins when somebody teaches: mdb teach --connect {where}{bundle}", soft_wrap=True)
     run_it = up_inline if arguments.inline else up_processes
     status = run_it(experiment, options, Progress(console, experiment))
+    if not (run / EXPERIMENT_FILE).exists():
+        raise MdbError(f"the run folder {run} was deleted or moved away: there are no results in its place")
     if not arguments.no_plot:
         console.print("drawing the figures")
         try:

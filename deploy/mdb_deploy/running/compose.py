@@ -1,6 +1,6 @@
 """The process table: `compose.yaml` read for processes on this machine.
 
-Owns what of the Compose format the runner understands: command, depends_on, healthcheck (`mdb health NAME`),
+Owns what of the Compose format the runner understands: command, depends_on, healthcheck (`deploy/health NAME`),
 restart, environment, `${NAME:-default}`. Starts nothing.
 """
 
@@ -78,13 +78,13 @@ def _spec(path: Path, name: str, row: Mapping[str, Any]) -> ProcessSpec:
     if not isinstance(command, list) or not command:
         raise ConfigError(f"{path}: service {name} needs a command as a list of words")
     test = (row.get("healthcheck") or {}).get("test") or []
-    if [*test[1:3]] != ["mdb", "health"] or len(test) < 4:
-        raise ConfigError(f"{path}: service {name} needs healthcheck.test [CMD, mdb, health, ROLE/INSTANCE]")
+    if len(test) < 3 or test[1] != "deploy/health":
+        raise ConfigError(f"{path}: service {name} needs healthcheck.test [CMD, deploy/health, ROLE/INSTANCE]")
     return ProcessSpec(
         name=name,
         command=tuple(str(word) for word in command),
         after=tuple(row.get("depends_on") or ()),
-        token=str(test[3]),
+        token=str(test[2]),
         environment={str(k): str(v) for k, v in (row.get("environment") or {}).items()},
         restarts=row.get("restart", "no") != "no",
     )

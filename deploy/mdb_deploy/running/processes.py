@@ -5,6 +5,7 @@ Imports what a service needs only when it is run: an optimizer has no compiler i
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from pathlib import Path
 import structlog
 
 from mdb_deploy.keys.access import ACCESS_FILE
+from mdb_deploy.running.unattended import FINISHED_FILE, or_finished
 from mdb_deploy.shipped import shipped
 from mdb_protocol import endpoints
 from mdb_protocol.bus import Bus
@@ -21,6 +23,7 @@ from mdb_protocol.errors import BusError, ConfigError, DamageError
 from mdb_protocol.holding import hold
 from mdb_protocol.zenoh_bus import Router, RouterKeys, ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.shell.heartbeat import BEAT_S, CLOSE_S, COMPILE_S, START_S, Heart
 from mdb_services.shell.service import Service, Stopper, run
 from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
@@ -38,6 +41,8 @@ INSTANCES = {
 """The only instance of each role, as its class says; an evolver's is its model. Known before a class is imported."""
 CONNECT_S = 10.0
 PORT_FREE_S = 5.0
+LEAVE_S, FAREWELL_S = 15.0, 1.0
+"""So long the router of a finished run waits for the others to leave, and after the last token for its session."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +53,14 @@ class RouterOptions:
     listen: str | None
     keys: Path | None = None
     open_to_everyone: bool = False
+    until_finished: bool = False
+    """End when the run in the run folder is finished, and those who took part have left."""
 
 
-def run_router(options: RouterOptions, stop: Stopper) -> None:
+def run_router(options: RouterOptions, stop: Stopper, heart: Heart) -> None:
     """Route until told to stop; writes where this machine's clients connect into the run folder.
+
+    The heart beats as long as the router itself answers, for its work is done in threads of Zenoh's.
 
     When the access control has changed it begins anew on the same port: Zenoh reads it only at the start. Clients
     come back by themselves, within half a second; who is no longer admitted stays out.
@@ -59,14 +68,43 @@ def run_router(options: RouterOptions, stop: Stopper) -> None:
     listen, changed = options.listen, _changes(options.keys)
     bound_s = 0.0
     while not stop():
+        heart.beat(START_S)
         router = open_router(options, listen, bound_s)
         endpoint = router.endpoint()
         listen, bound_s = endpoints.with_port_of(router.listen, endpoint), PORT_FREE_S
+        heart.ready()
         _say_where(options.run, endpoint)
         log.info("routing", endpoint=endpoint, listen=listen)
+        asked_s, over = 0.0, _over(options, endpoint)  # anew each time: the session before went with its router
         while not stop() and not changed():
+            if over():
+                log.info("the run is finished")
+                heart.beat(CLOSE_S)
+                router.close()
+                return
+            if (now_s := time.monotonic()) - asked_s >= BEAT_S and router.answers():
+                asked_s = now_s
+                heart.beat()
             time.sleep(0.05)
+        heart.beat(CLOSE_S)
         router.close()
+
+
+def _over(options: RouterOptions, endpoint: str) -> Callable[[], bool]:
+    """Return a function that says whether the run is finished and nobody takes part any more."""
+    if not options.until_finished or options.run is None:
+        return lambda: False
+    brain = Experiment.read(options.run / EXPERIMENT_FILE).brain.experiment.brain
+    bus = ZenohBus(brain, endpoint, credentials=options.keys, connect_timeout_s=CONNECT_S)
+    finished, until_s = or_finished(lambda: False, bus, options.run), math.inf
+
+    def over() -> bool:
+        nonlocal until_s
+        if finished():
+            until_s = min(until_s, time.monotonic() + (LEAVE_S if bus.alive() else FAREWELL_S))
+        return time.monotonic() > until_s
+
+    return over
 
 
 def open_router(options: RouterOptions, listen: str | None = None, bound_s: float = 0.0) -> Router:
@@ -126,11 +164,16 @@ class ServiceOptions:
     model: str | None = None
     gui: bool = False
     keys: Path | None = None
+    until_finished: bool = False
+    """End when the run is finished."""
 
 
-def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
+def run_service(name: str, options: ServiceOptions, stop: Stopper, heart: Heart) -> None:
     """Build and run one service of the experiment in the run folder."""
+    heart.beat(COMPILE_S if name == EVOLVER else START_S)
     run_folder = options.run
+    if options.until_finished and (run_folder / FINISHED_FILE).exists():
+        return  # it died as the run ended
     experiment = Experiment.read(run_folder / EXPERIMENT_FILE)
     builders: dict[str, Callable[[Bus], Service]] = {
         "recorder": lambda bus: _recorder(bus, experiment, run_folder),
@@ -165,7 +208,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper) -> None:
     except BaseException:
         bus.close()
         raise
-    run(service, stop, run_folder)
+    run(service, or_finished(stop, bus, run_folder) if options.until_finished else stop, run_folder, heart)
 
 
 def _recorder(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:

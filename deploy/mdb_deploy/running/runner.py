@@ -1,9 +1,10 @@
-"""The runner: starts the processes of a brain in order, restarts what dies, stops all within two seconds.
+"""The runner: starts the processes of a brain in order, restarts what dies or hangs, stops all within two seconds.
 
 Owns the child processes and their logs. Ready is whoever's liveliness token is there; the router is ready
 when it answers. What dies comes back at once; what dies quickly again and again comes back later each time, and
-soon not at all: then the run ends with its last lines. Each child is a session of its own, so Ctrl-C reaches only
-the runner, and stops by itself when the runner is gone.
+soon not at all: then the run ends with its last lines. A process that cannot be started, or whose heart does not beat
+(`heartbeat`), has died like any other. Each child is a session of its own, so Ctrl-C reaches only the runner, and
+stops by itself when the runner is gone.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from typing import IO
 
 import structlog
 
-from mdb_deploy.running.compose import ROUTER, ProcessSpec
+from mdb_deploy.running.compose import ROUTER, ProcessSpec, fill
 from mdb_protocol.errors import MdbError
+from mdb_services.shell.heartbeat import BEAT_S, Pulse
 
 log = structlog.get_logger()
 
@@ -37,6 +39,11 @@ QUICK_DEATHS = 5
 """So many quick deaths in a row end the run."""
 BACKOFF_S = 0.2
 """Before the start that follows a second quick death in a row; twice as long after each further one."""
+PAUSE_S = 0.02
+EXCUSED_S = 1.0
+"""After the router is back, others that waited for it have so long to show a sign of life."""
+FEEL_S = 0.1
+"""So often hearts are listened to."""
 LAST_LINES = 15
 
 
@@ -51,8 +58,13 @@ class Child:
     spec: ProcessSpec
     log_path: Path
     process: asyncio.subprocess.Process | None = None
+    pulse: Pulse | None = None
     started_s: float = 0.0
     ready: bool = False
+    been_ready: bool = False
+    """Whether it has ever been."""
+    ended_for: str = ""
+    """Why the runner itself has ended it, if it has."""
     restarts: int = 0
     quick_deaths: int = 0
 
@@ -61,6 +73,11 @@ class Child:
         """How long to wait before the next start."""
         return BACKOFF_S * 2.0 ** (self.quick_deaths - 2) if self.quick_deaths > 1 else 0.0
 
+    @property
+    def patience(self) -> float:
+        """By how much more silence is borne of a process that died quickly: the machine may be too busy for it."""
+        return 2.0**self.quick_deaths
+
     def last_lines(self) -> str:
         """Return the end of the child's log."""
         try:
@@ -68,6 +85,11 @@ class Child:
         except OSError:
             return "(it wrote nothing)"
         return "\n".join(f"    {line}" for line in lines[-LAST_LINES:]) or "(it wrote nothing)"
+
+    def end(self, reason: str) -> None:
+        """Kill it, which is a death like any other."""
+        self.ended_for = reason
+        _signal(self, signal.SIGKILL)
 
 
 class Runner:
@@ -80,11 +102,10 @@ class Runner:
         logs: Path,
         alive: Callable[[], frozenset[str]],
     ) -> None:
-        logs.mkdir(parents=True, exist_ok=True)
         self._variables = dict(variables)
-        self._alive = alive
+        self._logs, self._alive = logs, alive
         self._stopping = False
-        self._watchers: list[asyncio.Task[None]] = []
+        self._tasks: list[asyncio.Task[None]] = []
         self.children = {name: Child(spec, logs / f"{name}.log") for name, spec in specs.items()}
         self.failed: asyncio.Future[StartError] = asyncio.get_running_loop().create_future()
 
@@ -93,27 +114,85 @@ class Runner:
         self._variables |= {"MDB_CONNECT": endpoint, "MDB_LISTEN": listen}
 
     async def start(self, on_ready: Callable[[str], None] = lambda _: None) -> None:
-        """Start every process once those it waits for are ready; StartError when one is not in time."""
-        await asyncio.gather(*(self._start(child, on_ready) for child in self.children.values()))
+        """Start every process once those it waits for are ready; StartError when one does not become ready."""
+        work = [self._listen(), *(self._keep(child, on_ready) for child in self.children.values())]
+        self._tasks = [asyncio.create_task(each) for each in work]
+        for task in self._tasks:
+            task.add_done_callback(self._look_at)
+        while not all(child.been_ready for child in self.children.values()):
+            await asyncio.wait({self.failed}, timeout=PAUSE_S)
+            if self.failed.done():
+                raise self.failed.result()
 
-    async def _start(self, child: Child, on_ready: Callable[[str], None]) -> None:
+    def _look_at(self, task: asyncio.Task[None]) -> None:
+        """A mistake in the runner itself ends the run, for nobody watches any more."""
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            log.error("the runner failed", exc_info=error)
+            self._fail(f"the runner itself failed: {type(error).__name__}: {error}")
+
+    async def _keep(self, child: Child, on_ready: Callable[[str], None]) -> None:
+        """Start a process whenever it is not there; give up after `QUICK_DEATHS`, or when that is of no use."""
         while not (all(self.children[name].ready for name in child.spec.after) and self._somebody(child.spec)):
-            await self._pause(child)
-        await self._spawn(child)
-        await self._until_ready(child)
-        on_ready(child.spec.name)
-        self._watchers.append(asyncio.create_task(self._watch(child)))
+            await asyncio.sleep(PAUSE_S)
+        while True:
+            status, reason = await self._live(child, on_ready)
+            if self._stopping:
+                return
+            how = f"with status {status}: {reason}" if status is not None and reason else reason
+            how = how or f"with status {status}"
+            quick = not child.ready or time.monotonic() - child.started_s < QUICK_S
+            child.ready = False
+            child.quick_deaths = child.quick_deaths + 1 if quick else 0
+            log.warning("process died", name=child.spec.name, status=status, reason=reason, restarts=child.restarts)
+            if (why := self._why_give_up(child, status, how)) is not None:
+                self._fail(f"{child.spec.name} {why}. Its last lines ({child.log_path}):\n{child.last_lines()}")
+                return
+            await asyncio.sleep(child.backoff_s)
+            child.restarts += 1
 
-    async def _until_ready(self, child: Child) -> None:
-        """Return when a process is ready; StartError when it ends before, or is not in time."""
-        while not self._is_ready(child):
-            assert child.process is not None
-            if child.process.returncode is not None:
-                raise StartError(self._report(child, f"ended with status {child.process.returncode}"))
-            if time.monotonic() - child.started_s > READY_S:
-                raise StartError(self._report(child, f"was not ready within {READY_S:g} s"))
-            await self._pause(child)
+    def _why_give_up(self, child: Child, status: int | None, how: str) -> str | None:
+        """Return what to say of a process that is not to be started again; None when it is."""
+        if not child.been_ready and status is not None and status >= 0:
+            return f"ended with status {status}"  # by itself, at its first start: it would again
+        if not child.spec.restarts:
+            return f"ended {how}, and is not to be started again"
+        if child.quick_deaths >= QUICK_DEATHS:
+            return (
+                f"died {child.quick_deaths} times in a row before it was ready or within {QUICK_S:g} s of its start, "
+                f"last {how}"
+            )
+        return None
+
+    async def _live(self, child: Child, on_ready: Callable[[str], None]) -> tuple[int | None, str]:
+        """Start a process and follow it until it is dead; return its status and, where it is known, why it died."""
+        child.started_s, child.process, child.pulse, child.ended_for = time.monotonic(), None, None, ""
+        try:
+            child.process = process = await self._spawn(child)
+        except (OSError, RuntimeError) as error:  # no log file, no descriptor, no memory, no thread left
+            return None, f"for it cannot be started: {error}"
+        ending = asyncio.create_task(process.wait())
+        try:
+            while not ending.done() and not self._is_ready(child):
+                if time.monotonic() - child.started_s > READY_S and not child.ended_for:
+                    child.end(f"it was not ready within {READY_S:g} s")
+                await asyncio.wait({ending}, timeout=PAUSE_S)
+            if not ending.done():
+                self._welcome(child, on_ready)
+            return await ending, child.ended_for
+        finally:
+            ending.cancel()
+            if child.pulse is not None:
+                child.pulse.close()
+
+    def _welcome(self, child: Child, on_ready: Callable[[str], None]) -> None:
         child.ready = True
+        name, took_s = child.spec.name, round(time.monotonic() - child.started_s, 2)
+        if child.been_ready:
+            log.info("process is ready again", name=name, start_s=took_s, restarts=child.restarts)
+        else:
+            on_ready(name)
+            child.been_ready = True
 
     def _is_ready(self, child: Child) -> bool:
         return time.monotonic() - child.started_s > STALE_S and child.spec.token in self._alive()
@@ -122,76 +201,57 @@ class Runner:
         roles = {name.partition("/")[0] for name in self._alive()} if spec.awaits else set()
         return roles.issuperset(spec.awaits)
 
-    async def _pause(self, child: Child) -> None:
-        if self._stopping:
-            raise StartError(f"{child.spec.name}: stopped while starting")
-        await asyncio.sleep(0.02)
-
-    async def _spawn(self, child: Child) -> None:
+    async def _spawn(self, child: Child) -> asyncio.subprocess.Process:
         argv = child.spec.argv(self._variables)
         if argv[0] == "mdb":
             argv = [sys.executable, "-P", "-m", "mdb_deploy.cli", *argv[1:], f"--with-parent={os.getpid()}"]
-        output: IO[bytes] = child.log_path.open("ab")
-        child.process = await asyncio.create_subprocess_exec(
-            *argv,
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=output,
-            stderr=asyncio.subprocess.STDOUT,
-            env=os.environ | child.spec.environment,
-            start_new_session=True,
-        )
-        output.close()
-        child.started_s = time.monotonic()
+        environment = {name: fill(value, self._variables) for name, value in child.spec.environment.items()}
+        self._logs.mkdir(exist_ok=True)
+        output: IO[bytes]
+        with child.log_path.open("ab") as output:
+            child.pulse = pulse = Pulse()
+            try:
+                return await asyncio.create_subprocess_exec(
+                    *argv,
+                    stdin=asyncio.subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=asyncio.subprocess.STDOUT,
+                    env=os.environ | environment | pulse.environment(),
+                    pass_fds=(pulse.child_pipe,),
+                    start_new_session=True,
+                )
+            except BaseException:
+                pulse.close()
+                raise
+            finally:
+                pulse.child_has_it()
 
-    async def _watch(self, child: Child) -> None:
-        """Restart a process whenever it dies; give up after `QUICK_DEATHS`."""
+    async def _listen(self) -> None:
+        """Listen to the hearts, and end who hangs; nobody but the router while others may be waiting for it."""
+        router = self.children.get(ROUTER)
+        excused_until_s = 0.0
         while True:
-            assert child.process is not None
-            status = await child.process.wait()
-            if self._stopping:
-                return
-            quick = not child.ready or time.monotonic() - child.started_s < QUICK_S
-            child.ready = False
-            child.quick_deaths = child.quick_deaths + 1 if quick else 0
-            log.warning("process died", name=child.spec.name, status=status, restarts=child.restarts)
-            if not child.spec.restarts or child.quick_deaths >= QUICK_DEATHS:
-                self._give_up(child, status)
-                return
-            await asyncio.sleep(child.backoff_s)
-            if self._stopping:
-                return
-            await self._restart(child)
+            await asyncio.sleep(FEEL_S)
+            for child in self.children.values():
+                if child.pulse is not None and child.process is not None and child.process.returncode is None:
+                    child.pulse.feel()
+            if router is not None and not _routes(router):
+                excused_until_s = time.monotonic() + EXCUSED_S
+            for child in self.children.values():
+                excused = child is not router and time.monotonic() < excused_until_s
+                if child.pulse and child.pulse.hangs(child.patience) and not (excused or child.ended_for):
+                    child.end(f"it hung: no sign of life for {child.pulse.silent_s:.1f} s")
 
-    async def _restart(self, child: Child) -> None:
-        """Start a process again and wait until it is ready; one that is not in time is ended, which is a death."""
-        child.restarts += 1
-        await self._spawn(child)
-        try:
-            await self._until_ready(child)
-        except StartError as error:
-            if not self._stopping:
-                log.warning("process did not come back", reason=str(error).partition("\n")[0])
-            _signal(child, signal.SIGKILL)
-            return
-        took_s = time.monotonic() - child.started_s
-        log.info("process is ready again", name=child.spec.name, start_s=round(took_s, 2), restarts=child.restarts)
-
-    def _give_up(self, child: Child, status: int) -> None:
-        reason = f"ended with status {status}, and is not to be started again"
-        if child.spec.restarts:
-            reason = (
-                f"died {child.quick_deaths} times in a row before it was ready or within {QUICK_S:g} s of its start, "
-                f"last with status {status}"
-            )
+    def _fail(self, why: str) -> None:
         if not self.failed.done():
-            self.failed.set_result(StartError(self._report(child, reason)))
-
-    def _report(self, child: Child, what: str) -> str:
-        return f"{child.spec.name} {what}. Its last lines ({child.log_path}):\n{child.last_lines()}"
+            self.failed.set_result(StartError(why))
 
     async def stop(self) -> None:
         """Stop every process, those first that others do not wait for; none is left after two seconds."""
         self._stopping = True
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
         for child in reversed(self.children.values()):
             if child.spec.name != ROUTER:
                 _signal(child, signal.SIGTERM)
@@ -205,8 +265,10 @@ class Runner:
             _signal(child, signal.SIGKILL)
             if child.process:
                 await child.process.wait()
-        for watcher in self._watchers:
-            watcher.cancel()
+
+
+def _routes(router: Child) -> bool:
+    return router.ready and (router.pulse is None or router.pulse.silent_s <= 2 * BEAT_S)
 
 
 async def _wait_all(processes: list[asyncio.subprocess.Process], bound_s: float) -> None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mdb_deploy.running.compose import OPTIMIZER, ROBOT, ROUTER, TEACHER, elsewhere, for_experiment, read
+from mdb_deploy.running.processes import ENDPOINT_FILE
 from mdb_deploy.running.progress import Progress
 from mdb_deploy.running.runner import Runner, StartError
 from mdb_deploy.running.watch import JOIN_S, Watch
@@ -25,6 +26,7 @@ from mdb_protocol.errors import MdbError
 from mdb_protocol.holding import hold
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
 
 LOCK_FILE = "lock"
@@ -127,6 +129,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
+    (options.run / ENDPOINT_FILE).unlink(missing_ok=True)
     watch = Watch(experiment, options.run, options.keys, await_robot=options.await_robot)
     variables = {
         "MDB_RUN_INSIDE": str(options.run),
@@ -152,6 +155,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
     try:
         if options.connect is not None:
             watch.join(options.connect)
+            write_whole(options.run / ENDPOINT_FILE, options.connect.encode())
         with progress:
             starting = asyncio.create_task(runner.start(progress.ready))
             stopped = asyncio.create_task(stop.wait())

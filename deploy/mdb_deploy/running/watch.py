@@ -13,6 +13,7 @@ from pathlib import Path
 import structlog
 
 from mdb_deploy.running.compose import ROBOT, ROUTER
+from mdb_deploy.running.folder import RunFolder
 from mdb_deploy.running.processes import ENDPOINT_FILE, INSTANCES
 from mdb_deploy.running.progress import Progress
 from mdb_protocol import keys
@@ -22,7 +23,6 @@ from mdb_protocol.holding import GONE_S, hold
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_services.shell.service import Meter, announce
-from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
 
 log = structlog.get_logger()
@@ -52,9 +52,9 @@ class Watch:
         settings = experiment.brain.optimizer
         self.patience_s = settings.command_patience_s + settings.feedback_patience_s
         """How long a teacher who hesitates may hold up an iteration."""
-        self._run, self._credentials = run, credentials
-        self._endpoint = run / ENDPOINT_FILE
-        self._endpoint.unlink(missing_ok=True)
+        self.run, self._credentials = run, credentials
+        self._folder = RunFolder(run, experiment.brain.store.when_full)
+        self._endpoint, self._where = run / ENDPOINT_FILE, ""
         self._bus: ZenohBus | None = None
         self._meter: Meter | None = None
         self._iteration = 0
@@ -66,12 +66,12 @@ class Watch:
         self.on_endpoint: Callable[[str], None] = lambda _: None
 
     def join(self, endpoint: str) -> None:
-        """Join a router that runs, and say in the run folder where it is.
+        """Join a router that runs.
 
         Raises BusError when it does not answer, TakenError when this brain is somebody else's there.
         """
+        self._where = endpoint
         self._join(ZenohBus(self._brain, endpoint, credentials=self._credentials, connect_timeout_s=JOIN_S))
-        write_whole(self._endpoint, endpoint.encode())
 
     def alive(self) -> frozenset[str]:
         """Return the liveliness tokens, and the router's name once it answers: its own router says where it is."""
@@ -111,20 +111,21 @@ class Watch:
             self._alone_s = now_s
         elif now_s - self._alone_s > GONE_S:
             mixed = MIXED.format(robots=robots, brain=self._brain)
-            raise TakenError(f"{mixed}. Stop all but one, and go on with 'mdb up --resume {self._run}'")
+            raise TakenError(f"{mixed}. Stop all but one, and go on with 'mdb up --resume {self.run}'")
 
     def _find(self, endpoint: str) -> None:
         try:
             bus = ZenohBus(self._brain, endpoint, credentials=self._credentials, connect_timeout_s=0.0)
         except BusError:
             return
+        self._where = endpoint
         self._join(bus)
         self.on_endpoint(endpoint)
 
     def _join(self, bus: ZenohBus) -> None:
         self._bus = self.bus = bus
         hold(bus, self.role, self.instance)
-        self._meter = announce(self, self._run)
+        self._meter = announce(self, self.run)
         self._perceptions = bus.subscriber(keys.PERCEPTION)
         self._reports = bus.subscriber(keys.ITERATION)
         self._scenes = bus.subscriber(keys.SCENE)
@@ -134,6 +135,7 @@ class Watch:
 
     def _serve(self) -> None:
         """Answer who asks how we are."""
+        self._folder.look()
         self.bus.serve()
         self._count()
         if self._meter is not None:
@@ -157,12 +159,13 @@ class Watch:
 
     def lost(self) -> str:
         """Return what there is to say of a run in which nothing moves any more."""
+        if self._folder.trouble:
+            return f": the run folder {self.run} is {self._folder.trouble}"
         if self._bus is not None and self._bus.connected():
-            return f"; the logs of the processes are in {self._run / 'logs'}"
-        where = self._endpoint.read_text(encoding="utf-8")
+            return f"; the logs of the processes are in {self.run / 'logs'}"
         return (
-            f": the router at {where} is gone. One that 'mdb up' starts ends with it; 'mdb run router' starts one "
-            f"that stays. Go on with 'mdb up --resume {self._run} --connect ENDPOINT'"
+            f": the router at {self._where} is gone. One that 'mdb up' starts ends with it; 'mdb run router' starts "
+            f"one that stays. Go on with 'mdb up --resume {self.run} --connect ENDPOINT'"
         )
 
     def finished(self) -> bool:

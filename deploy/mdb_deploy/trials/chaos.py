@@ -1,13 +1,14 @@
-"""`mdb chaos`: kills random processes of a brain at work, at random times, and measures what comes of it.
+"""`mdb chaos`: kills or stops random processes of a brain at work, at random times, and measures what comes of it.
 
-Owns who is killed when, and how a recovery is timed: from the kill until the killed process's successor has its
-liveliness token (the router's: until everybody's token is back) and after that `ITERATIONS` more iterations have
-been reported. What is said of it is in `chaos_report`.
+Owns who is killed (SIGKILL) or made to hang (SIGSTOP, for good) when, and how a recovery is timed: from then until
+the process's successor has its liveliness token (the router's: until everybody's token is back) and after that
+`ITERATIONS` more iterations have been reported. What is said of it is in `chaos_report`.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -52,6 +53,8 @@ class ChaosOptions:
     overrides: tuple[str, ...]
     out: Path
     kills: int = 300
+    hangs: float = 0.0
+    """The share of these that are hangs."""
     seed: int = 1
     roles: tuple[str, ...] = ()
     """Names of the process table; none: all."""
@@ -130,7 +133,7 @@ class Chaos:
             self._round()
             for number, kill in enumerate(self.kills[before:], before + 1):
                 took = "the experiment ended" if kill.recovered_s is None else f"{kill.recovered_s:.2f} s"
-                say(f"{number:4d}  {kill.role:22s} {took}")
+                say(f"{number:4d}  {kill.role:22s} {'hung    ' if kill.hang else ''}{took}")
 
     def _round(self) -> None:
         """Kill one process, or two in a row, and wait until the brain has recovered from that."""
@@ -145,7 +148,7 @@ class Chaos:
             if time.monotonic() > deadline:
                 roles = ", ".join(pending.kill.role for pending in self._pending)
                 raise BrainError(
-                    f"not recovered from the death of {roles} within {self.options.bound_s:g} s. "
+                    f"not recovered from the death or hang of {roles} within {self.options.bound_s:g} s. "
                     f"{self.brain.last_words()}"
                 )
             self._look()
@@ -164,7 +167,7 @@ class Chaos:
         time.sleep(POLL_S)
 
     def _kill(self) -> bool:
-        """Kill one of those who may die now; return whether there was one."""
+        """Kill one of those who may die now, or make it hang; return whether there was one."""
         processes = self.brain.processes()
         ages_s = {name: time.time() - process.create_time() for name, process in processes.items()}
         may = [name for name in self._roles if name in ages_s and self._may_die(name, ages_s[name])]
@@ -173,9 +176,10 @@ class Chaos:
             return False
         role = str(self.rng.choice(may))
         self._young[role] = self._young.get(role, 0) + 1 if ages_s[role] < GROWN_S else 0
+        hang = self.options.hangs > 0 and self.rng.random() < self.options.hangs
         killed_s = time.monotonic()
-        processes[role].kill()
-        kill = Kill(role, killed_s - self.began_s, self.brain.iteration)
+        processes[role].send_signal(signal.SIGSTOP if hang else signal.SIGKILL)
+        kill = Kill(role, killed_s - self.began_s, self.brain.iteration, hang=hang)
         self.kills.append(kill)
         self._pending.append(Pending(kill, self.brain.members[role].token, killed_s))
         for pending in self._pending:
@@ -202,7 +206,7 @@ def run(options: ChaosOptions, say: Callable[[str], None]) -> Report:
     if unknown := sorted(set(options.roles) - set(members)):
         raise ConfigError(f"--roles names {', '.join(unknown)}; this experiment has {', '.join(members)}")
     with BrainUnderTest(experiment, options.out) as brain:
-        say(f"killing {options.kills} processes of {brain.run}")
+        say(f"killing {options.kills} processes of {brain.run}, of which {options.hangs:.0%} are to hang")
         chaos = Chaos(brain, options, np.random.default_rng(options.seed))
         chaos.go(say)
         if not brain.finished and not options.to_the_end:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,9 @@ from mdb_protocol import keys
 from mdb_services.recorder import read_log
 
 MEDIAN_S, P99_S = 1.5, 4.0
-"""What recovery must not exceed."""
+"""What recovery from a kill must not exceed."""
+HANG_MEDIAN_S, HANG_P99_S = 4.0, 8.0
+"""The same from a hang, which is noticed by silence only."""
 BY_A_LOT = 2.0
 """Beyond the bounds times this the command fails: a loaded machine alone does not do it."""
 TOLD = 20
@@ -34,6 +36,8 @@ class Kill:
     role: str
     at_s: float
     iteration: int
+    hang: bool = False
+    """Whether it was stopped for good, not killed."""
     together: bool = False
     """Whether another was killed before this one had recovered."""
     token_s: float | None = None
@@ -53,12 +57,26 @@ class Row:
     """Median until its liveliness token was back."""
 
     @classmethod
+    def by_role(cls, kills: Sequence[Kill]) -> list[Row]:
+        """Return a row for each role."""
+        return [cls.of(role, [k for k in kills if k.role == role]) for role in sorted({k.role for k in kills})]
+
+    @classmethod
     def of(cls, role: str, kills: Sequence[Kill]) -> Row:
         """Return the row of these kills; one during which the experiment ended has no recovery."""
         took = [k.recovered_s for k in kills if k.recovered_s is not None] or [np.nan]
         token = [k.token_s for k in kills if k.token_s is not None] or [np.nan]
         median, p99, worst = np.percentile(took, [50, 99, 100])
         return cls(role, len(kills), float(median), float(p99), float(worst), float(np.median(token)))
+
+    def quicker_than(self, median_s: float, p99_s: float) -> bool:
+        """Whether recovery kept these bounds; where nobody died there was nothing to keep."""
+        return not self.kills or (self.median_s < median_s and self.p99_s < p99_s)
+
+    def line(self) -> str:
+        """Return the row of a table in Markdown."""
+        times = (self.median_s, self.p99_s, self.worst_s, self.token_s)
+        return f"| {self.role} | {self.kills} | {' | '.join(f'{time_s:.2f}' for time_s in times)} |"
 
 
 @dataclass(frozen=True)
@@ -68,6 +86,7 @@ class Report:
     run: Path
     kills: list[Kill]
     rows: list[Row]
+    """Of those who were killed, by role."""
     total: Row
     findings: Findings
     iterations: int
@@ -80,6 +99,9 @@ class Report:
     loads: tuple[float, float]
     """Load average of the machine (1 min) before and after."""
     cores: int
+    hung: list[Row] = field(default_factory=list)
+    """Of those who hung, by role."""
+    hung_total: Row | None = None
 
     @classmethod
     def of(
@@ -95,11 +117,14 @@ class Report:
     ) -> Report:
         """Return the report; reads the run's log. MdbError when there is none that can be read."""
         logged = {r.message.iteration for r in read_log(run) if r.row is keys.ITERATION}  # type: ignore[attr-defined]
+        killed, hung = ([kill for kill in kills if kill.hang is hang] for hang in (False, True))
         return cls(
             run=run,
             kills=kills,
-            rows=[Row.of(role, [k for k in kills if k.role == role]) for role in sorted({k.role for k in kills})],
-            total=Row.of("all", kills),
+            rows=Row.by_role(killed),
+            total=Row.of("all", killed),
+            hung=Row.by_role(hung),
+            hung_total=Row.of("all", hung) if hung else None,
             findings=findings,
             iterations=findings.stored,
             took_s=took_s,
@@ -116,7 +141,9 @@ class Report:
         return self._quicker_than(1.0)
 
     def _quicker_than(self, factor: float) -> bool:
-        return self.total.median_s < MEDIAN_S * factor and self.total.p99_s < P99_S * factor
+        killed = self.total.quicker_than(MEDIAN_S * factor, P99_S * factor)
+        hung = self.hung_total is None or self.hung_total.quicker_than(HANG_MEDIAN_S * factor, HANG_P99_S * factor)
+        return killed and hung
 
     @property
     def holds(self) -> bool:
@@ -126,20 +153,21 @@ class Report:
     def markdown(self) -> str:
         """Return the report as it stands in `chaos.md`."""
         told, together = self.findings, sum(kill.together for kill in self.kills)
-        rows = [
-            f"| {r.role} | {r.kills} | {r.median_s:.2f} | {r.p99_s:.2f} | {r.worst_s:.2f} | {r.token_s:.2f} |"
-            for r in [*self.rows, self.total]
-        ]
+        hangs = sum(kill.hang for kill in self.kills)
+        tables = table("killed", self.rows, self.total) if self.total.kills else []
+        promised = recovery("recovery", self.total, MEDIAN_S, P99_S) if self.total.kills else []
+        if self.hung_total is not None:
+            tables += table("hung", self.hung, self.hung_total)
+            promised += recovery("recovery from a hang", self.hung_total, HANG_MEDIAN_S, HANG_P99_S)
         return "\n".join(
             [
-                f"{len(self.kills)} kills (SIGKILL) in {self.took_s:.0f} s, {told.stored} iterations; {together} of "
+                f"{len(self.kills) - hangs} kills (SIGKILL)"
+                + (f" and {hangs} hangs (SIGSTOP, for good)" if hangs else "")
+                + f" in {self.took_s:.0f} s, {told.stored} iterations; {together} of "
                 f"them while another process was down. Load of the machine: {self.loads[0]:.1f} before, "
                 f"{self.loads[1]:.1f} after, on {self.cores} cores.",
                 "",
-                "| killed | kills | recovery, s: median | p99 | worst | its token back: median |",
-                "|---|--:|--:|--:|--:|--:|",
-                *rows,
-                "",
+                *tables,
                 "| promise | found | |",
                 "|---|--:|---|",
                 f"| acknowledged pairs lost: 0 | {len(told.lost)} of {told.acknowledged} | "
@@ -148,9 +176,7 @@ class Report:
                 f"| counted twice: 0 | {len(told.doubled)} | {yes(not told.doubled)} |",
                 f"| else damaged: 0 | {len(told.damaged)} | {yes(not told.damaged)} |",
                 f"| actions without a commander: 0 | {self.moved_alone} | {yes(not self.moved_alone)} |",
-                f"| recovery, median < {MEDIAN_S:g} s | {self.total.median_s:.2f} s | "
-                f"{yes(self.total.median_s < MEDIAN_S)} |",
-                f"| recovery, p99 < {P99_S:g} s | {self.total.p99_s:.2f} s | {yes(self.total.p99_s < P99_S)} |",
+                *promised,
                 "",
                 *([f"Damaged: {'; '.join(told.damaged[:TOLD])}.", ""] if told.damaged else []),
                 f"Checked: {', '.join(f'{count} {what}' for what, count in told.checked.items()) or 'nothing'}. "
@@ -159,6 +185,20 @@ class Report:
                 f"{self.logged} of {told.stored}; the rest happened while nobody recorded.",
             ]
         )
+
+
+def table(what: str, rows: Sequence[Row], total: Row) -> list[str]:
+    """Return the lines of a table of recoveries, with an empty one after it."""
+    head = f"| {what} | times | recovery, s: median | p99 | worst | its token back: median |"
+    return [head, "|---|--:|--:|--:|--:|--:|", *(row.line() for row in [*rows, total]), ""]
+
+
+def recovery(what: str, total: Row, median_s: float, p99_s: float) -> list[str]:
+    """Return what was promised of recoveries, and what was found."""
+    return [
+        f"| {what}, median < {median_s:g} s | {total.median_s:.2f} s | {yes(total.median_s < median_s)} |",
+        f"| {what}, p99 < {p99_s:g} s | {total.p99_s:.2f} s | {yes(total.p99_s < p99_s)} |",
+    ]
 
 
 def yes(met: bool) -> str:

@@ -31,6 +31,7 @@ from mdb_services.mechanism.actions.choice import Choice, choose
 from mdb_services.mechanism.networks import streams
 from mdb_services.mechanism.networks.encoding import Codebook, gather
 from mdb_services.shell.elsewhere import Elsewhere
+from mdb_services.shell.heartbeat import SILENT_S
 
 log = structlog.get_logger()
 
@@ -354,6 +355,10 @@ class Optimizer:
         self._end.put(messages.Finished(iterations=self._experiment.iterations))
         self._enter(Ended())
         return True
+
+    def next_s(self) -> float:
+        """See `Bounded`: the memory store is asked while joining."""
+        return SILENT_S + (QUERY_S if isinstance(self._stage, Joining) else 0.0)
 
     def values(self) -> dict[str, float]:
         """Iteration, pairs without acknowledgement, whether acting waits for it, pairs lost, waits given up, versions

@@ -18,6 +18,7 @@ SWIFT_HZ = 47.0, 2093.0
 MOST_NUMBERS = 1024
 """In a sensor's vector: more do not fit into the messages that pairs travel in."""
 
+DEFAULT_BRAIN = "pioneer"
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Seconds = Annotated[float, Meta(gt=0, le=3600)]
 Durability = Literal["process", "power"]
@@ -34,7 +35,7 @@ class ExperimentSection(Section, frozen=True, kw_only=True):
     """`[experiment]`: what is run."""
 
     name: Name
-    brain: Name = "pioneer"
+    brain: Name = DEFAULT_BRAIN
     """All keys lie below `mdb/<brain>/`."""
     iterations: Annotated[int, Meta(ge=1, le=10_000_000)]
     seed: Annotated[int, Meta(ge=0, le=2**62)] = 1

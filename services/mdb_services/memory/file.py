@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Self
 from mdb_protocol import codec, files, messages
 from mdb_protocol.errors import DamageError, DecodeError, MdbError, TakenError
 from mdb_services.memory.reading import foreign, guard, log_of
+from mdb_services.shell.place import Place
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS pair (
@@ -132,6 +133,11 @@ class MemoryFile:
                 f"{path} was written by a version of this project that spoke version 1 of the protocol, whose pairs "
                 "cannot be read any more. Move it away to start with an empty memory"
             )
+        self._place = Place(path)
+
+    def check_place(self) -> None:
+        """Raise OSError when the file is not where it was: what is written now, nobody would find."""
+        self._place.check()
 
     def _check_length(self) -> None:
         """See that it is a file, and whole.

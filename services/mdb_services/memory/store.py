@@ -31,6 +31,8 @@ log = structlog.get_logger()
 ROLE = "memory"
 FAR = 100
 """Pairs that may be on their way together and overtake one another."""
+STEP_S = 0.5
+"""After this queries are answered and the heart beats, though pairs wait: many wait for a store that was dead."""
 RETRY_S = 1.0
 """How often a disk that takes nothing is tried again."""
 
@@ -109,8 +111,8 @@ class MemoryStore:
                 log.info("beginning with a model of another run", model=memory.name)
 
     def step(self) -> bool:
-        """Take the newest models, then every pair that has come."""
-        moved = False
+        """Take the newest models, then every pair that has come, or those for which there is time."""
+        moved, began_s = False, self._clock()
         for model in self._models.some():
             moved = True
             if model.model in self._memories and self._remember(model):
@@ -129,6 +131,8 @@ class MemoryStore:
                 break
             self._waiting = None
             moved = True
+            if self._clock() - began_s > STEP_S:
+                break
         return moved
 
     def _could_be(self, pair: messages.Pair) -> bool:
@@ -158,8 +162,9 @@ class MemoryStore:
         if self._clock() < self._retry_s:
             return False
         try:
+            self._file.check_place()
             write()
-        except sqlite3.OperationalError as error:
+        except (sqlite3.OperationalError, OSError) as error:
             if not self._retry_s:
                 log.error("cannot write to disk; trying again", every_s=RETRY_S, reason=str(error))
             self._unwritten += 1

@@ -24,6 +24,7 @@ import structlog
 from mdb_protocol import keys
 from mdb_protocol.bus import Bus
 from mdb_protocol.messages import Status
+from mdb_services.shell.heartbeat import CLOSE_S, SILENT_S, Heart
 
 log = structlog.get_logger()
 
@@ -83,6 +84,14 @@ class Timed(Protocol):
         """Return in how many seconds its next step is due, whatever comes."""
 
 
+@runtime_checkable
+class Bounded(Protocol):
+    """A service whose step may take longer than `heartbeat.SILENT_S`, or that works elsewhere than in its step."""
+
+    def next_s(self) -> float:
+        """Return within how many seconds its next step is over; 0 when it does not go on, and is to be ended."""
+
+
 class Meter:
     """Things a second over the last few seconds, from a count that only grows."""
 
@@ -140,26 +149,26 @@ def announce(service: Service, folder: Path | None = None) -> Meter:
     return meter
 
 
-def run(service: Service, stop: Callable[[], bool], folder: Path | None = None) -> None:
+def run(service: Service, stop: Callable[[], bool], folder: Path | None = None, heart: Heart | None = None) -> None:
     """Run a service in this thread until told to stop; a failing step is logged and tried again.
 
-    `folder` is the run's, for those who ask.
+    `folder` is the run's, for those who ask. `heart` beats at each turn.
 
     Re-raises the error when steps fail `FAILURES_IN_A_ROW` times, so that the supervisor restarts it.
     """
     failures = 0
+    heart = heart or Heart()
     sys.setswitchinterval(SWITCH_S)
     try:
         meter = announce(service, folder)
+        heart.ready()
         log.info("ready", role=service.role, instance=service.instance)
         while not stop():
             service.bus.wait(min(WAIT_S, service.due_in_s()) if isinstance(service, Timed) else WAIT_S)
-            service.bus.serve()
-            meter.tick()
             try:
+                _turn(service, meter, heart)
                 while service.step() and not stop():
-                    service.bus.serve()
-                    meter.tick()
+                    _turn(service, meter, heart)
                 failures = 0
             except Exception:
                 failures += 1
@@ -167,8 +176,16 @@ def run(service: Service, stop: Callable[[], bool], folder: Path | None = None) 
                 if failures >= FAILURES_IN_A_ROW:
                     raise
     finally:
+        heart.beat(CLOSE_S)
         close([service])
         log.info("stopped", role=service.role, instance=service.instance)
+
+
+def _turn(service: Service, meter: Meter, heart: Heart) -> None:
+    """Do what belongs before each step."""
+    service.bus.serve()
+    meter.tick()
+    heart.beat(service.next_s() if isinstance(service, Bounded) else SILENT_S)
 
 
 def run_inline(services: Sequence[Service], stop: Callable[[], bool]) -> None:

@@ -37,16 +37,21 @@ class Acting:
         """Whether the action is a new one, not the last one held."""
         self.took_s = 0.0
         """How long the body took for the last action."""
+        self._began_s = 0.0
 
     @property
     def busy(self) -> bool:
         """Whether an action was begun whose outcome was not taken yet."""
         return self._future is not None
 
+    def busy_s(self) -> float:
+        """Return for how long an action is being carried out, beyond the time that it takes at least."""
+        return time.perf_counter() - self._began_s - self._least_s if self.busy else 0.0
+
     def begin(self, values: Mapping[str, float], *, counted: bool = True) -> None:
         """Begin an action; without `counted` it is the last one, held."""
         self._interrupted.clear()
-        self.counted = counted
+        self.counted, self._began_s = counted, time.perf_counter()
         if self._executor is not None:
             self._future = self._executor.submit(self._act, values, counted)
             self._future.add_done_callback(lambda _: self._woken())

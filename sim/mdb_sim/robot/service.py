@@ -22,6 +22,7 @@ from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_protocol.duties import SHOWN_AGAIN_S
 from mdb_services.shell.elsewhere import Elsewhere
+from mdb_services.shell.heartbeat import SILENT_S
 from mdb_sim.body import Body, BodyError, check, picture_of
 from mdb_sim.robot.acting import Acting
 from mdb_sim.robot.clock import Clock
@@ -33,6 +34,8 @@ log = structlog.get_logger()
 ROLE = "robot"
 WATCHING = ("teacher/", "viewer/")
 """Whose liveliness tokens mean that somebody watches, ..."""
+ACTION_S = 30.0
+"""An action that the body is at for longer, beyond its least time, hangs: then this process is to be ended."""
 SCRIPT = "teacher/script"
 """... but for the scripted teacher's."""
 
@@ -288,6 +291,10 @@ class RobotService:
                 log.warning("no image of the scene; those who watch see its numbers", reason=str(error))
             self._dark = True
             return messages.Picture(iteration=seen.iteration)
+
+    def next_s(self) -> float:
+        """See `Bounded`: a body that does not come back from an action is seen here, for it acts in a thread."""
+        return 0.0 if self._acting.busy_s() > ACTION_S else SILENT_S
 
     def values(self) -> dict[str, float]:
         """Iteration, successes, actions that came too late, how often nobody commanded the body, changes that clients
