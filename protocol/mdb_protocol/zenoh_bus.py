@@ -2,10 +2,13 @@
 
 Callbacks run on Zenoh's threads and only hand raw samples to an inbox; queries are answered by the
 service's own thread in `serve`. Reliable and latched keys use Zenoh's advanced publishers (a cache that
-late joiners and recovery read); latest-value keys drop under congestion unless the bus is `lossless`.
+late joiners and recovery read); latest-value keys drop under congestion unless the bus is `lossless`. What the brain
+itself writes is read by Zenoh's advanced subscribers; what guests write, and a tap, by a `Follower`, whose memory is
+bounded.
 
-Recovery cannot tell a reader who missed samples from one who came late: from a reliable publisher who said nothing
-new before his next heartbeat, a late joiner gets all of the cache. So a reader must expect older messages at first.
+Zenoh's recovery cannot tell a reader who missed samples from one who came late: from a reliable publisher who said
+nothing new before his next heartbeat, a late joiner gets all of the cache. So a reader must expect older messages at
+first.
 """
 
 from __future__ import annotations
@@ -13,8 +16,9 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, NamedTuple
@@ -23,12 +27,14 @@ import zenoh
 from zenoh import ext
 from zenoh.handlers import Callback
 
-from mdb_protocol import codec, endpoints, keys
+from mdb_protocol import codec, endpoints, keys, limits
 from mdb_protocol.bundle import Bundle, why_refused
 from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError
+from mdb_protocol.following import ANSWERED_S, Follower, Manner, Origin, Wanted
 from mdb_protocol.keys import ALIVE, CLAIM, ROOT, Delivery, Key
 from mdb_protocol.messages import Message
+from mdb_protocol.roles import User
 
 RELIABLE_CACHE = 256
 """Samples a reliable publisher keeps for readers that missed some."""
@@ -36,8 +42,16 @@ HEARTBEAT_S = 0.25
 """How often a reliable publisher says how far it is, so that a lost last sample is noticed;
 always, not only when it has sent something since: said while the router is dead, nobody would hear it.
 """
-ASKED_KEPT = 1000
+ASKED_KEPT = 256
 """Queries that wait to be answered; who asks then gets no answer."""
+SERVED_AT_ONCE = 16
+"""Queries answered before the service does its own work again."""
+RECOVERY_S = 0.05
+"""How often is looked for what can be asked again, while something is missing."""
+ALL_PAST = 2**14
+"""Samples taken of all publishers together when a subscription begins."""
+NUMBER_BYTES = 4
+"""What a heartbeat is: the number of the last sample."""
 LEASE_MS = 2000
 """A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
 RETRY_MS = 50
@@ -75,6 +89,9 @@ class ZenohBus(Bus):
         self._asked: SimpleQueue[tuple[Key, Callable[[], Message | None], zenoh.Query]] = SimpleQueue()
         self._alive: set[str] | None = None
         self._alive_lock = threading.Lock()
+        self._followers: list[Follower] = []
+        self._recovery: threading.Thread | None = None
+        self._missed, self._closing = threading.Event(), threading.Event()
 
     def publisher(self, row: Key, **parameters: str) -> Publisher:
         """See `Bus.publisher`."""
@@ -91,30 +108,38 @@ class ZenohBus(Bus):
             express=True,
             cache=ext.CacheConfig(1 if row.delivery is Delivery.LATEST else RELIABLE_CACHE),
             sample_miss_detection=_heartbeat(row),
-            publisher_detection=True,
+            publisher_detection=not row.guests_write,  # of guests it is heard by their heartbeats
         )
         self._declared.append(publisher)
         return _Publisher(row, publisher)
 
     def subscriber(self, row: Key, **parameters: str) -> Inbox:
         """See `Bus.subscriber`."""
-        inbox = self._new_inbox(row)
-        keeps_last = row.delivery in (Delivery.LATEST, Delivery.LATCHED)
-        self._subscribe(row.at(self.brain, **parameters), inbox.put, row.history if keeps_last else 0)
+        inbox, key = self._new_inbox(row), row.at(self.brain, **parameters)
+        history = row.history if row.delivery in (Delivery.LATEST, Delivery.LATCHED) else 0
+        if row.guests_write:
+            self._follow(key, inbox.put, lambda _: Manner(history, whole=True), history)
+        else:
+            self._subscribe(key, inbox.put, history)
         return inbox
 
     def tap(self) -> Tap:
         """See `Bus.tap`."""
         tap = self._new_tap()
-        self._subscribe(f"{ROOT}/{self.brain}/**", tap.put, RELIABLE_CACHE)
+        self._follow(f"{ROOT}/{self.brain}/**", tap.put, self._tapped, RELIABLE_CACHE)
         return tap
+
+    def _tapped(self, key: str) -> Manner:
+        """Of a latest value what was missed is not missed."""
+        row = keys.find(self.brain, key)
+        return Manner(RELIABLE_CACHE, whole=row is not None and row.delivery is not Delivery.LATEST)
 
     def _subscribe(self, key: str, put: Callable[[Raw], None], history: int) -> None:
         """Hand samples to `put`, and at first the last `history` ones that each publisher has."""
 
         def hand_over(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
-                put(Raw(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding)))
+                put(_raw(sample))
 
         subscriber = ext.declare_advanced_subscriber(
             self._session,
@@ -124,6 +149,55 @@ class ZenohBus(Bus):
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
         self._declared.append(subscriber)
+
+    def _follow(self, key: str, put: Callable[[Raw], None], manner: Callable[[str], Manner], history: int) -> None:
+        """Do as `_subscribe`, keeping no more than a follower does, whoever writes."""
+        follower = Follower(put, manner, self._missed.set)
+
+        def hand_over(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                follower.hear(_raw(sample), _origin(sample))
+
+        def heartbeat(sample: zenoh.Sample) -> None:
+            if len(number := sample.payload.to_bytes()) == NUMBER_BYTES:
+                follower.heartbeat(str(sample.key_expr), int.from_bytes(number, "little"))
+
+        for expression, callback in ((key, hand_over), (f"{key}/@adv/pub/**", heartbeat)):
+            self._declared.append(self._session.declare_subscriber(expression, Callback(callback, indirect=False)))
+        self._followers.append(follower)
+        if history:
+            self._ask_past(follower, Wanted(f"{key}/@adv/**?_max={history}", ALL_PAST, lambda: None))
+        if self._recovery is None:
+            self._recovery = threading.Thread(target=self._recover, name="recovery", daemon=True)
+            self._recovery.start()
+
+    def _recover(self) -> None:
+        """Ask for what followers miss; in a thread of its own, for a query waits where the router takes none."""
+        while not self._closing.is_set():
+            self._missed.wait(RECOVERY_S if any(follower.missing() for follower in self._followers) else None)
+            self._missed.clear()
+            for follower in list(self._followers):
+                for wanted in follower.wanted():
+                    self._ask_past(follower, wanted)
+
+    def _ask_past(self, follower: Follower, wanted: Wanted) -> None:
+        came = count()
+
+        def hear(reply: zenoh.Reply) -> None:
+            if (sample := reply.ok) is not None and next(came) < wanted.most:
+                follower.hear(_raw(sample), _origin(sample), past=True)
+
+        try:
+            self._session.get(
+                wanted.selector,
+                Callback(hear, wanted.done, indirect=False),
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                accept_replies=zenoh.ReplyKeyExpr.ANY,
+                timeout=ANSWERED_S,
+            )
+        except zenoh.ZError:
+            wanted.done()
 
     def queryable(self, row: Key, handler: Callable[[], Message | None], **parameters: str) -> None:
         """See `Bus.queryable`; the handler runs in `serve`, on the service's own thread."""
@@ -142,7 +216,7 @@ class ZenohBus(Bus):
 
     def serve(self) -> None:
         """See `Bus.serve`."""
-        for _ in range(self._asked.qsize()):
+        for _ in range(min(self._asked.qsize(), SERVED_AT_ONCE)):
             row, handler, query = self._asked.get_nowait()
             with query, suppress(zenoh.ZError):
                 try:
@@ -153,6 +227,8 @@ class ZenohBus(Bus):
                 if reply is not None:
                     encoding = codec.encoding_of(type(reply))
                     query.reply(self._reply_key(row, query.key_expr, reply), codec.encode(reply), encoding=encoding)
+        if not self._asked.empty():
+            self._wake.set()
 
     def _reply_key(self, row: Key, asked: zenoh.KeyExpr, reply: Message) -> str:
         if "*" not in str(asked):
@@ -264,11 +340,25 @@ class ZenohBus(Bus):
 
     def close(self) -> None:
         """See `Bus.close`."""
+        self._closing.set()
+        self._missed.set()
+        if self._recovery is not None:
+            self._recovery.join(ANSWERED_S)
         for declared in reversed(self._declared):
             with suppress(zenoh.ZError):
                 declared.undeclare()
         self._declared.clear()
         self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _raw(sample: zenoh.Sample) -> Raw:
+    return Raw(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
+
+
+def _origin(sample: zenoh.Sample) -> Origin | None:
+    """Return which sample it is; None of a plain publisher's, which are not numbered."""
+    info = sample.source_info
+    return None if info is None else Origin(str(info.source_id.zid), info.source_id.eid, info.source_sn)
 
 
 def _heartbeat(row: Key) -> ext.MissDetectionConfig:
@@ -333,14 +423,18 @@ def open_client(
 
 
 class RouterKeys(NamedTuple):
-    """What a router with keys shows and enforces: its own bundle, Zenoh's `access_control` section."""
+    """What a router with keys shows and enforces: its own bundle, Zenoh's `access_control`, and who is admitted."""
 
     bundle: Bundle
     access_control: Mapping[str, object]
+    users: Sequence[User]
 
 
 class Router:
-    """A Zenoh router in this process (paper: none; ours). The same config file drives `zenohd`."""
+    """A Zenoh router in this process (paper: none; ours), with the limits of the key table.
+
+    The same config file drives `zenohd`, without these limits.
+    """
 
     def __init__(
         self,
@@ -366,6 +460,8 @@ class Router:
             if keys is not None:
                 config.insert_json5("transport/link/tls", json.dumps(keys.bundle.router_tls()))
                 config.insert_json5("access_control", json.dumps(keys.access_control))
+                config.insert_json5("downsampling", json.dumps(limits.rates(keys.users)))
+            config.insert_json5("low_pass_filter", json.dumps(limits.sizes()))
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
             where = listen or f"the endpoint in {config_file}"

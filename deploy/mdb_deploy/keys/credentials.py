@@ -152,7 +152,8 @@ class KeyFolder:
                 f"the router's certificate is for {', '.join(hosts)}, not for {endpoint.host}; "
                 f"'{self._renew()} --host {endpoint.host}' makes a new one"
             )
-        return RouterKeys(shown, access.read(self.path / access.ACCESS_FILE))
+        section = access.read(self.path / access.ACCESS_FILE)
+        return RouterKeys(shown, section, list(access.users(section).values()))
 
     def _renew(self) -> str:
         return f"mdb keys renew --keys {self.path}"
