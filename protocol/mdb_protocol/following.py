@@ -97,7 +97,9 @@ class Follower:
             return
         with self._lock:
             manner = self._manner(raw.key)
-            source = self._source(raw.key, origin, origin.number if past else origin.number + 1 - manner.history)
+            source = self._source(
+                raw.key, origin, origin.number if past else origin.number + 1 - max(manner.history, 1)
+            )
             source.last = max(source.last, origin.number)
             if origin.number < source.due or origin.number in source.held:
                 return

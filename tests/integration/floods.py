@@ -151,7 +151,7 @@ def main(endpoint: str, pem: str, kind: str, seconds: str) -> None:
             while time.monotonic() < ends:
                 say()
                 sent += 1
-    print(sent)
+    sys.stdout.write(f"{sent}\n")
 
 
 if __name__ == "__main__":

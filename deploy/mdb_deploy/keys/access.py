@@ -23,7 +23,9 @@ ANSWER = ("reply", "declare_queryable")
 KEEP = ("put", *ANSWER)
 """What a guest says where his publisher keeps what was said: its heartbeats, and answers to who missed something."""
 GUEST_SAYS = {Delivery.QUERY: ANSWER, Delivery.TOKEN: ("liveliness_token",)}
-"""What a guest says on keys that are not for samples; on others he puts them."""
+"""What a guest says on keys that are not for samples."""
+SAMPLES = ("put", "reply")
+"""What he says on the others: an answer to who missed something lies on the sample's own key."""
 ASK = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
 """Messages of one who wants: into the router from a reader, out of it to a writer."""
 COMMENT = """\
@@ -72,7 +74,7 @@ def _writes(user: User) -> list[dict[str, Any]]:
     rules = []
     for row, key in user.writes_on().items():
         says = GUEST_SAYS.get(row.delivery)
-        rules.append(_rule(user, f"writes {row.path}", "ingress", says or ("put",), [key]))
+        rules.append(_rule(user, f"writes {row.path}", "ingress", says or SAMPLES, [key]))
         if says is None:
             rules.append(_rule(user, f"keeps {row.path}", "ingress", KEEP, [f"{key}/@adv/**"]))
     return rules
