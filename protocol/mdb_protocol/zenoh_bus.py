@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from itertools import count
 from pathlib import Path
 from queue import SimpleQueue
@@ -126,13 +127,8 @@ class ZenohBus(Bus):
     def tap(self) -> Tap:
         """See `Bus.tap`."""
         tap = self._new_tap()
-        self._follow(f"{ROOT}/{self.brain}/**", tap.put, self._tapped, RELIABLE_CACHE)
+        self._follow(f"{ROOT}/{self.brain}/**", tap.put, partial(_tapped, self.brain), RELIABLE_CACHE)
         return tap
-
-    def _tapped(self, key: str) -> Manner:
-        """Of a latest value what was missed is not missed."""
-        row = keys.find(self.brain, key)
-        return Manner(RELIABLE_CACHE, whole=row is not None and row.delivery is not Delivery.LATEST)
 
     def _subscribe(self, key: str, put: Callable[[Raw], None], history: int) -> None:
         """Hand samples to `put`, and at first the last `history` ones that each publisher has."""
@@ -151,7 +147,11 @@ class ZenohBus(Bus):
         self._declared.append(subscriber)
 
     def _follow(self, key: str, put: Callable[[Raw], None], manner: Callable[[str], Manner], history: int) -> None:
-        """Do as `_subscribe`, keeping no more than a follower does, whoever writes."""
+        """Do as `_subscribe`, keeping no more than a follower does, whoever writes.
+
+        What callbacks hold must not lead back to this bus: the last one to let go of it would be a thread of Zenoh's,
+        in which a session can never be closed.
+        """
         follower = Follower(put, manner, self._missed.set)
 
         def hand_over(sample: zenoh.Sample) -> None:
@@ -344,11 +344,18 @@ class ZenohBus(Bus):
         self._missed.set()
         if self._recovery is not None:
             self._recovery.join(ANSWERED_S)
+        self._followers.clear()
         for declared in reversed(self._declared):
             with suppress(zenoh.ZError):
                 declared.undeclare()
         self._declared.clear()
         self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _tapped(brain: str, key: str) -> Manner:
+    """Return how a tap reads a key: of a latest value what was missed is not missed."""
+    row = keys.find(brain, key)
+    return Manner(RELIABLE_CACHE, whole=row is not None and row.delivery is not Delivery.LATEST)
 
 
 def _raw(sample: zenoh.Sample) -> Raw:
