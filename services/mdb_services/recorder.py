@@ -24,10 +24,11 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
 from mdb_protocol import as_json, codec, keys
-from mdb_protocol.bus import TAPPED, Bus, Raw, read, read_as
+from mdb_protocol.bus import TAPPED, Bus, read, read_as
 from mdb_protocol.errors import DecodeError, MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
+from mdb_protocol.waiting import Raw
 from mdb_services.experiment.brain import EXPERIMENT_FILE
 
 log = structlog.get_logger()

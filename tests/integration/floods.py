@@ -21,7 +21,7 @@ from mdb_protocol.bundle import Bundle
 from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
 from mdb_protocol.roles import Role, User
-from mdb_protocol.zenoh_bus import open_client
+from mdb_protocol.zenoh_sessions import open_client
 
 BLOCK = zenoh.CongestionControl.BLOCK
 FAR = 10**6

@@ -16,10 +16,11 @@ import msgpack
 import numpy as np
 
 from mdb_protocol import codec, keys, messages
-from mdb_protocol.bus import TAPPED, Raw, read
+from mdb_protocol.bus import TAPPED, read
 from mdb_protocol.errors import DecodeError
 from mdb_protocol.keys import Delivery, Key
 from mdb_protocol.messages import Message
+from mdb_protocol.waiting import Raw
 
 NAMES = {"teacher": "anna", "model": "object", "role": "robot", "instance": "body", "holder": "somebody"}
 FAR = 10**9

@@ -23,7 +23,8 @@ from mdb_protocol.errors import BusError
 from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
 from mdb_protocol.roles import Role
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router
 from tests.integration.brain import BRAIN, until
 
 ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"

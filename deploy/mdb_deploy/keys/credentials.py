@@ -38,7 +38,7 @@ from mdb_protocol import bundle, endpoints
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.keys import NAME
 from mdb_protocol.roles import Role, User
-from mdb_protocol.zenoh_bus import RouterKeys
+from mdb_protocol.zenoh_sessions import RouterKeys
 from mdb_services.shell.whole_file import write_whole
 
 AUTHORITY_DAYS = 3650
