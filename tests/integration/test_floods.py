@@ -1,4 +1,4 @@
-"""Guests who say as much as they can, on their own keys, starve nobody: acting goes on, memory stays, all is over soon."""
+"""Guests who say as much as they can starve nobody: acting goes on, memory stays as it is, all is soon over."""
 
 import subprocess
 import sys
@@ -89,6 +89,7 @@ class Flooded:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(600)
 def test_floods_of_every_kind_leave_the_brain_as_it_was(tmp_path: Path) -> None:
     flooded = Flooded(tmp_path)
     with flooded.running():
