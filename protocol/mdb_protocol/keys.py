@@ -324,8 +324,8 @@ def find(brain: str, key: str) -> Key | None:
 def table() -> str:
     """Return the key table as Markdown, as it stands in the README."""
     lines = [
-        "| key below `mdb/<brain>/` | payload | only writer | delivery | late joiner | meaning |",
-        "|---|---|---|---|---|---|",
+        "| key below `mdb/<brain>/` | payload | at most | only writer | delivery | late joiner | meaning |",
+        "|---|---|---|---|---|---|---|",
     ]
     for row in KEYS:
         delivery, _, _ = row.delivery.value.partition(":")
@@ -340,5 +340,15 @@ def table() -> str:
             }[row.delivery]
         )
         payload = row.message.__name__ if row.message else "none"
-        lines.append(f"| `{row.path}` | {payload} | {row.writer} | {delivery} | {late} | {row.meaning} |")
+        lines.append(
+            f"| `{row.path}` | {payload} | {_at_most(row)} | {row.writer} | {delivery} | {late} | {row.meaning} |"
+        )
     return "\n".join(lines)
+
+
+def _at_most(row: Key) -> str:
+    """Return a row's limits in words."""
+    if row.message is None:
+        return "none"
+    size = f"{row.most_bytes // 2**20} MB" if row.most_bytes >= 2**20 else f"{row.most_bytes // 2**10} kB"
+    return f"{size}, {row.most_hz:g} a second" if row.guests_write else size

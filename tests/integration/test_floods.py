@@ -111,8 +111,8 @@ def test_in_ten_sequences_of_floods_acting_keeps_half_its_pace_and_never_stalls(
                 after = flooded.pace_hz(AFTER_S)
                 kind = f"{flood[0].role.value}: {flood[1]}"
                 sys.stderr.write(
-                    f"{turn + 1} {kind}: {before:.1f} a second, {busy:.1f} beside a busy process, {during:.1f} in it, "
-                    f"{after:.1f} after it\n"
+                    f"{turn + 1} {kind}: {before:.1f} a second, {busy:.1f} beside a busy process, {during:.1f} in it,"
+                    f" {after:.1f} after\n"
                 )
                 assert during > 0.5 * min(before, busy), kind
                 flooded.check()

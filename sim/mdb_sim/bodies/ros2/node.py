@@ -1,6 +1,7 @@
 """The body's node in the ROS 2 graph: a Zenoh session of its own, one publisher, two subscriptions, their tokens.
 
-Beside the protocol's bus the only module that imports zenoh, for these keys are none of a brain's. Callbacks run on Zenoh's threads and only hand over the newest bytes.
+Beside the protocol's bus the only module that imports zenoh, for these keys are none of a brain's. Callbacks run on
+Zenoh's threads and only hand over the newest bytes.
 """
 
 from __future__ import annotations
