@@ -10,17 +10,17 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator
-from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import structlog
 
 from mdb_protocol import codec
 from mdb_protocol.errors import BusError, DecodeError
-from mdb_protocol.keys import ALIVE, Delivery, Key
+from mdb_protocol.keys import ALIVE, Delivery, Key, find
 from mdb_protocol.messages import Message
+from mdb_protocol.waiting import Raw, Waiting, Wake, size_of
 
 log = structlog.get_logger()
 
@@ -30,8 +30,11 @@ LATEST_KEPT = 64
 """Samples a latest-value inbox keeps, so that junk behind a good value does not hide it."""
 RELIABLE_KEPT = 65_536
 """Samples a reliable inbox, or a tap, keeps; beyond it the oldest is dropped and counted."""
-KEPT_BYTES = 2**26
+KEPT_BYTES = 2**25
 """Bytes of samples that any of them keeps."""
+GUESTS_KEPT = 4096
+GUESTS_BYTES = 2**23
+"""The same of an inbox for what guests write."""
 AT_ONCE = 256
 """Messages of one inbox that are taken, or refused, before all else gets its turn."""
 LOGGED_REFUSALS = 3
@@ -41,15 +44,7 @@ LOGGED_LETTERS = 300
 MARGIN_BYTES = 1024
 """Kept free for key and encoding, of the most that a reader takes at once."""
 TAPPED = "**"
-"""Stands for all keys of a brain in counts of what a tap dropped."""
-
-
-class Raw(NamedTuple):
-    """A sample as it came: full key, payload bytes, encoding string."""
-
-    key: str
-    payload: bytes
-    encoding: str
+"""Stands for keys that no brain has, in counts of what a tap dropped or refused."""
 
 
 class Publisher(Protocol):
@@ -87,70 +82,12 @@ class Refusals:
         log.warning(what, key=path, reason=reason[:LOGGED_LETTERS], count=count)
 
 
-class Wake:
-    """Wakes the one who waits; keeps a single mark however much comes, so that it needs no memory."""
-
-    def __init__(self) -> None:
-        self._marks: SimpleQueue[None] = SimpleQueue()
-
-    def set(self) -> None:
-        """Say that something has come; called from any thread, after it can be taken."""
-        if self._marks.empty():
-            self._marks.put(None)
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for a mark, or the bound; return whether there was one."""
-        try:
-            self._marks.get(timeout=timeout_s)
-        except Empty:
-            return False
-        while not self._marks.empty():
-            self._marks.get_nowait()
-        return True
-
-
-class Waiting:
-    """Samples that have come and were not taken yet, bounded in number and bytes: of too many the oldest go."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._raw: deque[Raw] = deque()
-        self._bytes = 0
-        self._lock = threading.Lock()
-
-    def __len__(self) -> int:
-        return len(self._raw)
-
-    def put(self, raw: Raw) -> int:
-        """Let a sample wait; return how many went for it."""
-        dropped = 0
-        with self._lock:
-            self._raw.append(raw)
-            self._bytes += size_of(raw)
-            while len(self._raw) > self._most or (self._bytes > KEPT_BYTES and len(self._raw) > 1):
-                self._bytes -= size_of(self._raw.popleft())
-                dropped += 1
-        return dropped
-
-    def take(self, most: int = 1) -> list[Raw]:
-        """Take the oldest samples, in order."""
-        with self._lock:
-            taken = [self._raw.popleft() for _ in range(min(most, len(self._raw)))]
-            self._bytes -= sum(map(size_of, taken))
-        return taken
-
-
-def size_of(raw: Raw) -> int:
-    """Return the bytes of a sample with its key and encoding."""
-    return len(raw.payload) + len(raw.key) + len(raw.encoding)
-
-
 class Reader(ABC):
     """What waits for one who reads it: what inboxes and taps have in common."""
 
-    def __init__(self, refusals: Refusals, wake: Wake, most: int) -> None:
+    def __init__(self, refusals: Refusals, wake: Wake, waiting: Waiting) -> None:
         self._refusals, self._wake = refusals, wake
-        self.waiting = Waiting(most)
+        self.waiting = waiting
         self.taken = 0
         """Samples taken so far, refused ones included."""
 
@@ -174,14 +111,15 @@ class Inbox(Reader):
     def __init__(self, row: Key, brain: str, refusals: Refusals, wake: Wake) -> None:
         self._row, self._brain = row, brain
         self._latest = row.delivery is Delivery.LATEST
-        super().__init__(refusals, wake, LATEST_KEPT if self._latest else RELIABLE_KEPT)
+        most = LATEST_KEPT if self._latest else GUESTS_KEPT if row.guests_write else RELIABLE_KEPT
+        super().__init__(refusals, wake, Waiting(most, GUESTS_BYTES if row.guests_write else KEPT_BYTES))
 
     def put(self, raw: Raw) -> None:
         """Hand over a sample; called by the transport."""
         if (size := size_of(raw)) > self._row.most_bytes:
             self._refusals.add(self._row.path, f"sample of {size} bytes; at most {self._row.most_bytes} are read")
             return
-        for _ in range(self.waiting.put(raw)):
+        for _ in self.waiting.put(raw):
             if not self._latest:
                 self._refusals.drop(self._row.path, "too many messages wait; oldest dropped")
         self._wake.set()
@@ -218,13 +156,19 @@ class Inbox(Reader):
 class Tap(Reader):
     """Every sample of a brain as it came, undecoded: for recorders."""
 
-    def __init__(self, refusals: Refusals, wake: Wake) -> None:
-        super().__init__(refusals, wake, RELIABLE_KEPT)
+    def __init__(self, brain: str, refusals: Refusals, wake: Wake) -> None:
+        super().__init__(refusals, wake, Waiting(RELIABLE_KEPT, KEPT_BYTES))
+        self._brain = brain
 
     def put(self, raw: Raw) -> None:
         """Hand over a sample; called by the transport."""
-        for _ in range(self.waiting.put(raw)):
-            self._refusals.drop(TAPPED, "too many messages wait; oldest dropped")
+        row = find(self._brain, raw.key)
+        path = row.path if row is not None else TAPPED
+        if row is not None and (size := size_of(raw)) > row.most_bytes:
+            self._refusals.add(path, f"sample of {size} bytes; at most {row.most_bytes} are read")
+            return
+        for dropped in self.waiting.put(raw, path):
+            self._refusals.drop(dropped, "too many messages wait; oldest dropped")
         self._wake.set()
 
     def take(self) -> Raw | None:
@@ -341,7 +285,7 @@ class Bus(ABC):
         return inbox
 
     def _new_tap(self) -> Tap:
-        tap = Tap(self.refusals, self._wake)
+        tap = Tap(self.brain, self.refusals, self._wake)
         self._readers.append(tap)
         return tap
 

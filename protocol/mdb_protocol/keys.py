@@ -21,6 +21,8 @@ PARAMETER = re.compile(r"{(\w+)}")
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 SMALL = 2**16
 """Bytes of a message of a few numbers and names, at most."""
+TINY = 2**12
+"""Bytes of what a guest says each iteration, at most."""
 MODEL_BYTES = 2**22
 
 
@@ -53,9 +55,16 @@ class Key:
     recorded: bool = True
     """Whether it belongs in a run's log."""
     most_bytes: int = SMALL
-    """Largest sample; a larger one is not read."""
+    """Largest sample; the router lets no larger one through, and none is read."""
+    most_hz: float = 0.0
+    """How often the router lets a guest write; 0: no guest does. What it drops is asked for again, within bounds."""
     teachers_read: bool = False
     """Whether a teacher may read it; where the key names a teacher, only under that name (see `roles`)."""
+
+    @property
+    def guests_write(self) -> bool:
+        """Whether its writer is somebody who is not of the brain."""
+        return self.most_hz > 0
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -110,6 +119,7 @@ CHANGE = Key(
     Delivery.RELIABLE,
     "something of the robot is to be another",
     repeatable=False,
+    most_hz=20,
 )
 COMMAND = Key(
     "teacher/{teacher}/command",
@@ -119,6 +129,8 @@ COMMAND = Key(
     "a note, or silence",
     late_joiner="the last 32",
     history=32,
+    most_bytes=TINY,
+    most_hz=500,
 )
 FEEDBACK = Key(
     "teacher/{teacher}/feedback",
@@ -128,6 +140,8 @@ FEEDBACK = Key(
     "reward or punishment",
     late_joiner="the last 32",
     history=32,
+    most_bytes=TINY,
+    most_hz=500,
 )
 LESSON = Key(
     "teacher/{teacher}/lesson",
@@ -136,6 +150,7 @@ LESSON = Key(
     Delivery.LATCHED,
     "who teaches from now on, and what his notes mean: for the log, never for the brain",
     repeatable=False,
+    most_hz=20,
 )
 AUDIO = Key(
     "teacher/{teacher}/audio",
@@ -144,6 +159,7 @@ AUDIO = Key(
     Delivery.RELIABLE,
     "sound, in which notes are to be heard",
     most_bytes=2 * SMALL,
+    most_hz=50,
 )
 HEARD = Key(
     "heard/{teacher}",
@@ -299,6 +315,7 @@ def brains_of(found: Iterable[str]) -> list[str]:
     return sorted({name for key in found if NAME.fullmatch(name := key.split("/")[1])})
 
 
+@lru_cache(maxsize=1024)
 def find(brain: str, key: str) -> Key | None:
     """Return the row that a full key belongs to, or None."""
     return next((row for row in KEYS if row.match(brain, key) is not None), None)
@@ -307,8 +324,8 @@ def find(brain: str, key: str) -> Key | None:
 def table() -> str:
     """Return the key table as Markdown, as it stands in the README."""
     lines = [
-        "| key below `mdb/<brain>/` | payload | only writer | delivery | late joiner | meaning |",
-        "|---|---|---|---|---|---|",
+        "| key below `mdb/<brain>/` | payload | at most | only writer | delivery | late joiner | meaning |",
+        "|---|---|---|---|---|---|---|",
     ]
     for row in KEYS:
         delivery, _, _ = row.delivery.value.partition(":")
@@ -323,5 +340,15 @@ def table() -> str:
             }[row.delivery]
         )
         payload = row.message.__name__ if row.message else "none"
-        lines.append(f"| `{row.path}` | {payload} | {row.writer} | {delivery} | {late} | {row.meaning} |")
+        lines.append(
+            f"| `{row.path}` | {payload} | {_at_most(row)} | {row.writer} | {delivery} | {late} | {row.meaning} |"
+        )
     return "\n".join(lines)
+
+
+def _at_most(row: Key) -> str:
+    """Return a row's limits in words."""
+    if row.message is None:
+        return "none"
+    size = f"{row.most_bytes // 2**20} MB" if row.most_bytes >= 2**20 else f"{row.most_bytes // 2**10} kB"
+    return f"{size}, {row.most_hz:g} a second" if row.guests_write else size

@@ -11,10 +11,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mdb_protocol import codec
-from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, pack, read
+from mdb_protocol.bus import Bus, Inbox, Publisher, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError
 from mdb_protocol.keys import ALIVE, CLAIM, Delivery, Key
 from mdb_protocol.messages import Message
+from mdb_protocol.waiting import Raw
 
 KEEPS_LAST = (Delivery.LATEST, Delivery.LATCHED)
 

@@ -44,11 +44,13 @@ class User:
 
     def writes(self) -> list[str]:
         """Return the key expressions it may write; concrete keys but for the brain's own."""
-        if self.role is Role.BRAIN:
-            return [self.everything()]
+        return [self.everything()] if self.role is Role.BRAIN else list(self.writes_on().values())
+
+    def writes_on(self) -> dict[Key, str]:
+        """Return a guest's own concrete key of each row that he may write."""
         rows = {Role.TEACHER: TEACHER_WRITES, Role.OPERATOR: OPERATOR_WRITES}.get(self.role, ())
         own = {"teacher": self.name, "role": self.role.value, "instance": self.name}
-        return [row.at(self.brain, **{name: own[name] for name in row.parameters}) for row in (*rows, *PRESENCE)]
+        return {row: row.at(self.brain, **{name: own[name] for name in row.parameters}) for row in (*rows, *PRESENCE)}
 
     def reads(self) -> list[str]:
         """Return the key expressions it may read."""

@@ -1,11 +1,14 @@
-"""The bus over Eclipse Zenoh, and the router that carries it. All that a brain says goes through it.
+"""The bus over Eclipse Zenoh. All that a brain says goes through it, and through a router (`zenoh_sessions`).
 
 Callbacks run on Zenoh's threads and only hand raw samples to an inbox; queries are answered by the
 service's own thread in `serve`. Reliable and latched keys use Zenoh's advanced publishers (a cache that
-late joiners and recovery read); latest-value keys drop under congestion unless the bus is `lossless`.
+late joiners and recovery read); latest-value keys drop under congestion unless the bus is `lossless`. What the brain
+itself writes is read by Zenoh's advanced subscribers; what guests write, and a tap, by a `Follower`, whose memory is
+bounded.
 
-Recovery cannot tell a reader who missed samples from one who came late: from a reliable publisher who said nothing
-new before his next heartbeat, a late joiner gets all of the cache. So a reader must expect older messages at first.
+Zenoh's recovery cannot tell a reader who missed samples from one who came late: from a reliable publisher who said
+nothing new before his next heartbeat, a late joiner gets all of the cache. So a reader must expect older messages at
+first.
 """
 
 from __future__ import annotations
@@ -13,22 +16,27 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from itertools import count
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, NamedTuple
+from typing import Any
 
 import zenoh
 from zenoh import ext
 from zenoh.handlers import Callback
 
 from mdb_protocol import codec, endpoints, keys
-from mdb_protocol.bundle import Bundle, why_refused
-from mdb_protocol.bus import Bus, Inbox, Publisher, Raw, Tap, pack, read
+from mdb_protocol.bundle import Bundle
+from mdb_protocol.bus import Bus, Inbox, Publisher, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError
+from mdb_protocol.following import ANSWERED_S, Follower, Manner, Origin, Wanted
 from mdb_protocol.keys import ALIVE, CLAIM, ROOT, Delivery, Key
 from mdb_protocol.messages import Message
+from mdb_protocol.waiting import Raw
+from mdb_protocol.zenoh_sessions import open_client
 
 RELIABLE_CACHE = 256
 """Samples a reliable publisher keeps for readers that missed some."""
@@ -36,16 +44,17 @@ HEARTBEAT_S = 0.25
 """How often a reliable publisher says how far it is, so that a lost last sample is noticed;
 always, not only when it has sent something since: said while the router is dead, nobody would hear it.
 """
-ASKED_KEPT = 1000
+ASKED_KEPT = 256
 """Queries that wait to be answered; who asks then gets no answer."""
-LEASE_MS = 2000
-"""A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
-RETRY_MS = 50
-"""A client that has lost its router tries again after this; the waits grow to four times as long."""
+SERVED_AT_ONCE = 16
+"""Queries answered before the service does its own work again."""
+RECOVERY_S = 0.05
+"""How often is looked for what can be asked again, while something is missing."""
+ALL_PAST = 2**14
+"""Samples taken of all publishers together when a subscription begins."""
+NUMBER_BYTES = 4
+"""What a heartbeat is: the number of the last sample."""
 TOKENS_S, DEFAULT_ENDPOINT = 2.0, endpoints.USUAL
-ADMIN = "@/*/router"
-"""Where a router tells of itself."""
-QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 
 
 class ZenohBus(Bus):
@@ -77,6 +86,9 @@ class ZenohBus(Bus):
         self._asked: SimpleQueue[tuple[Key, Callable[[], Message | None], zenoh.Query]] = SimpleQueue()
         self._alive: set[str] | None = None
         self._alive_lock = threading.Lock()
+        self._followers: list[Follower] = []
+        self._recovery: threading.Thread | None = None
+        self._missed, self._closing = threading.Event(), threading.Event()
 
     def publisher(self, row: Key, **parameters: str) -> Publisher:
         """See `Bus.publisher`."""
@@ -93,22 +105,25 @@ class ZenohBus(Bus):
             express=True,
             cache=ext.CacheConfig(1 if row.delivery is Delivery.LATEST else RELIABLE_CACHE),
             sample_miss_detection=_heartbeat(row),
-            publisher_detection=True,
+            publisher_detection=not row.guests_write,  # of guests it is heard by their heartbeats
         )
         self._declared.append(publisher)
         return _Publisher(row, publisher)
 
     def subscriber(self, row: Key, **parameters: str) -> Inbox:
         """See `Bus.subscriber`."""
-        inbox = self._new_inbox(row)
-        keeps_last = row.delivery in (Delivery.LATEST, Delivery.LATCHED)
-        self._subscribe(row.at(self.brain, **parameters), inbox.put, row.history if keeps_last else 0)
+        inbox, key = self._new_inbox(row), row.at(self.brain, **parameters)
+        history = row.history if row.delivery in (Delivery.LATEST, Delivery.LATCHED) else 0
+        if row.guests_write:
+            self._follow(key, inbox.put, lambda _: Manner(history, whole=True), history)
+        else:
+            self._subscribe(key, inbox.put, history)
         return inbox
 
     def tap(self) -> Tap:
         """See `Bus.tap`."""
         tap = self._new_tap()
-        self._subscribe(f"{ROOT}/{self.brain}/**", tap.put, RELIABLE_CACHE)
+        self._follow(f"{ROOT}/{self.brain}/**", tap.put, partial(_tapped, self.brain), RELIABLE_CACHE)
         return tap
 
     def _subscribe(self, key: str, put: Callable[[Raw], None], history: int) -> None:
@@ -116,7 +131,7 @@ class ZenohBus(Bus):
 
         def hand_over(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
-                put(Raw(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding)))
+                put(_raw(sample))
 
         subscriber = ext.declare_advanced_subscriber(
             self._session,
@@ -126,6 +141,59 @@ class ZenohBus(Bus):
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
         self._declared.append(subscriber)
+
+    def _follow(self, key: str, put: Callable[[Raw], None], manner: Callable[[str], Manner], history: int) -> None:
+        """Do as `_subscribe`, keeping no more than a follower does, whoever writes.
+
+        What callbacks hold must not lead back to this bus: the last one to let go of it would be a thread of Zenoh's,
+        in which a session can never be closed.
+        """
+        follower = Follower(put, manner, self._missed.set)
+
+        def hand_over(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                follower.hear(_raw(sample), _origin(sample))
+
+        def heartbeat(sample: zenoh.Sample) -> None:
+            if len(number := sample.payload.to_bytes()) == NUMBER_BYTES:
+                follower.heartbeat(str(sample.key_expr), int.from_bytes(number, "little"))
+
+        for expression, callback in ((key, hand_over), (f"{key}/@adv/pub/**", heartbeat)):
+            self._declared.append(self._session.declare_subscriber(expression, Callback(callback, indirect=False)))
+        self._followers.append(follower)
+        if history:
+            self._ask_past(follower, Wanted(f"{key}/@adv/**?_max={history}", ALL_PAST, lambda: None))
+        if self._recovery is None:
+            self._recovery = threading.Thread(target=self._recover, name="recovery", daemon=True)
+            self._recovery.start()
+
+    def _recover(self) -> None:
+        """Ask for what followers miss; in a thread of its own, for a query waits where the router takes none."""
+        while not self._closing.is_set():
+            self._missed.wait(RECOVERY_S if any(follower.missing() for follower in self._followers) else None)
+            self._missed.clear()
+            for follower in list(self._followers):
+                for wanted in follower.wanted():
+                    self._ask_past(follower, wanted)
+
+    def _ask_past(self, follower: Follower, wanted: Wanted) -> None:
+        came = count()
+
+        def hear(reply: zenoh.Reply) -> None:
+            if (sample := reply.ok) is not None and next(came) < wanted.most:
+                follower.hear(_raw(sample), _origin(sample), past=True)
+
+        try:
+            self._session.get(
+                wanted.selector,
+                Callback(hear, wanted.done, indirect=False),
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                accept_replies=zenoh.ReplyKeyExpr.ANY,
+                timeout=ANSWERED_S,
+            )
+        except zenoh.ZError:
+            wanted.done()
 
     def queryable(self, row: Key, handler: Callable[[], Message | None], **parameters: str) -> None:
         """See `Bus.queryable`; the handler runs in `serve`, on the service's own thread."""
@@ -144,7 +212,7 @@ class ZenohBus(Bus):
 
     def serve(self) -> None:
         """See `Bus.serve`."""
-        for _ in range(self._asked.qsize()):
+        for _ in range(min(self._asked.qsize(), SERVED_AT_ONCE)):
             row, handler, query = self._asked.get_nowait()
             with query, suppress(zenoh.ZError):
                 try:
@@ -155,6 +223,8 @@ class ZenohBus(Bus):
                 if reply is not None:
                     encoding = codec.encoding_of(type(reply))
                     query.reply(self._reply_key(row, query.key_expr, reply), codec.encode(reply), encoding=encoding)
+        if not self._asked.empty():
+            self._wake.set()
 
     def _reply_key(self, row: Key, asked: zenoh.KeyExpr, reply: Message) -> str:
         if "*" not in str(asked):
@@ -266,11 +336,32 @@ class ZenohBus(Bus):
 
     def close(self) -> None:
         """See `Bus.close`."""
+        self._closing.set()
+        self._missed.set()
+        if self._recovery is not None:
+            self._recovery.join(ANSWERED_S)
+        self._followers.clear()
         for declared in reversed(self._declared):
             with suppress(zenoh.ZError):
                 declared.undeclare()
         self._declared.clear()
         self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _tapped(brain: str, key: str) -> Manner:
+    """Return how a tap reads a key: of a latest value what was missed is not missed."""
+    row = keys.find(brain, key)
+    return Manner(RELIABLE_CACHE, whole=row is not None and row.delivery is not Delivery.LATEST)
+
+
+def _raw(sample: zenoh.Sample) -> Raw:
+    return Raw(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
+
+
+def _origin(sample: zenoh.Sample) -> Origin | None:
+    """Return which sample it is; None of a plain publisher's, which are not numbered."""
+    info = sample.source_info
+    return None if info is None else Origin(str(info.source_id.zid), info.source_id.eid, info.source_sn)
 
 
 def _heartbeat(row: Key) -> ext.MissDetectionConfig:
@@ -289,118 +380,3 @@ class _Publisher:
             self._publisher.put(pack(self._row, message))
         except zenoh.ZError as error:
             raise BusError(f"cannot publish on {self._publisher.key_expr}: {error}") from error
-
-
-def open_client(
-    connect: str, bundle: Bundle | None, timeout_s: float, give_up: Callable[[], bool] = lambda: False
-) -> zenoh.Session:
-    """Return a session through a router; BusError when none answers within the bound, or it refuses."""
-    retry = {"period_init_ms": RETRY_MS, "period_max_ms": 4 * RETRY_MS, "period_increase_factor": 1.5}
-    config = zenoh.Config.from_json5(
-        json.dumps(
-            {
-                "mode": "client",
-                "connect": {
-                    "endpoints": [connect],
-                    "timeout_ms": 1000,
-                    "exit_on_failure": True,
-                    "retry": retry,
-                },
-                "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-                "transport": {
-                    "shared_memory": {"enabled": False},  # 20 MB for each process that says something large
-                    "link": {
-                        "tx": {"lease": LEASE_MS},
-                        "tls": {} if bundle is None else bundle.client_tls(),
-                    },
-                },
-            }
-        )
-    )
-    deadline = time.monotonic() + timeout_s
-    while True:
-        try:
-            return zenoh.open(config)
-        except zenoh.ZError as error:
-            reason = why_refused(endpoints.parse(connect), bundle)
-            if reason is not None and bundle is not None:
-                raise BusError(f"the router at {connect} cannot be used: {reason}") from error
-            if time.monotonic() >= deadline or give_up():
-                said = reason or (QUIC_SAYS if connect.startswith("quic/") else _first_line(error))
-                raise BusError(
-                    f"no router answers at {connect} within {timeout_s:g} s ({said}). 'mdb up' starts a brain with "
-                    f"its router, 'mdb run router --listen {connect}' one for several; --connect says where one runs"
-                ) from error
-            time.sleep(0.05)
-
-
-class RouterKeys(NamedTuple):
-    """What a router with keys shows and enforces: its own bundle, Zenoh's `access_control` section."""
-
-    bundle: Bundle
-    access_control: Mapping[str, object]
-
-
-class Router:
-    """A Zenoh router in this process (paper: none; ours). The same config file drives `zenohd`."""
-
-    def __init__(
-        self,
-        config_file: Path,
-        listen: str | None = None,
-        *,
-        keys: RouterKeys | None = None,
-        open_to_everyone: bool = False,
-    ) -> None:
-        """Start routing; `listen` replaces the file's endpoint, port 0 asks for a free one.
-
-        Raises `BusError` when the file is not a config, the endpoint cannot be had, or it can be reached from beyond
-        this machine and there are neither keys nor the plain word that it is `open_to_everyone`.
-        """
-        endpoints.check(listen or endpoints.USUAL)
-        try:
-            config = zenoh.Config.from_file(str(config_file))
-            if listen:
-                config.insert_json5("listen/endpoints", json.dumps([listen]))
-            self.listen, *more = json.loads(config.get_json("listen/endpoints"))
-            for endpoint in (self.listen, *more):
-                endpoints.check_listen(endpoint, has_keys=keys is not None, open_to_everyone=open_to_everyone)
-            if keys is not None:
-                config.insert_json5("transport/link/tls", json.dumps(keys.bundle.router_tls()))
-                config.insert_json5("access_control", json.dumps(keys.access_control))
-            self._session = zenoh.open(config)
-        except zenoh.ZError as error:
-            where = listen or f"the endpoint in {config_file}"
-            raise BusError(
-                f"the router cannot start on {where}: {_first_line(error)}. Is the port in use? Choose another "
-                "with --listen tcp/127.0.0.1:PORT (port 0: any free one)"
-            ) from error
-
-    def endpoint(self) -> str:
-        """Return where a client on this machine connects: the first endpoint it listens on, with the real port."""
-        for reply in self._session.get(ADMIN, timeout=TOKENS_S):
-            if reply.ok is not None:
-                locators: list[str] = json.loads(reply.ok.payload.to_bytes())["locators"]
-                return self._on_this_machine(locators)
-        raise BusError("the router does not say where it listens; is its admin space switched off?")
-
-    def answers(self) -> bool:
-        """Whether the router's own threads answer a query; waits `TOKENS_S` at most."""
-        return any(reply.ok is not None for reply in self._session.get(ADMIN, timeout=TOKENS_S))
-
-    def _on_this_machine(self, locators: list[str]) -> str:
-        """Undo that a router which listens on all addresses names the outer ones only."""
-        asked, first = endpoints.parse(self.listen), endpoints.parse(locators[0])
-        if asked.host in endpoints.EVERYWHERE:
-            return str(asked._replace(port=first.port).for_this_machine())
-        return locators[0]
-
-    def close(self) -> None:
-        """Stop routing; clients notice at once."""
-        self._session.close()  # type: ignore[no-untyped-call]
-
-
-def _first_line(error: Exception) -> str:
-    """Return what an error says, without where in Zenoh's own code it arose."""
-    said = str(error).strip()
-    return said.splitlines()[0].partition(" at /")[0][:200] if said else type(error).__name__

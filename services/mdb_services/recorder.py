@@ -21,10 +21,11 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
 from mdb_protocol import as_json, codec, files, keys
-from mdb_protocol.bus import TAPPED, Bus, Raw, read, read_as
+from mdb_protocol.bus import TAPPED, Bus, read, read_as
 from mdb_protocol.errors import DamageError, DecodeError, MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
+from mdb_protocol.waiting import Raw
 from mdb_services import log_records
 from mdb_services.experiment.brain import EXPERIMENT_FILE
 from mdb_services.shell.place import Place

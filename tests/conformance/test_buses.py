@@ -23,7 +23,7 @@ MakeBus = Callable[..., Bus]
 
 @pytest.fixture(scope="module")
 def endpoint() -> Iterator[str]:
-    from mdb_protocol.zenoh_bus import Router
+    from mdb_protocol.zenoh_sessions import Router
 
     router = Router(ROUTER_CONFIG, "tcp/127.0.0.1:0")
     yield router.endpoint()
@@ -334,7 +334,7 @@ def test_no_router_is_a_clear_error() -> None:
 
 
 def test_port_in_use_is_a_clear_error(endpoint: str) -> None:
-    from mdb_protocol.zenoh_bus import Router
+    from mdb_protocol.zenoh_sessions import Router
 
     with pytest.raises(BusError, match="port in use"):
         Router(ROUTER_CONFIG, endpoint)

@@ -33,7 +33,8 @@ from mdb_protocol import keys, messages
 from mdb_protocol.bus import Inbox
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.roles import Role
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
 from mdb_sim.body import NOTHING, Actuator, Body, Numbers, Outcome, Reading, Resting, Sensor, Spec, Unrestorable
 from mdb_sim.robot.course import Rules

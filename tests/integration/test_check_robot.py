@@ -13,7 +13,8 @@ from mdb_deploy.experiments import experiment_path
 from mdb_deploy.trials.robot_check import Report, RobotCheck
 from mdb_deploy.trials.robot_link import Link
 from mdb_protocol.duties import DUTIES
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router
 from mdb_sim.runs.experiment import Experiment
 from tests.integration.brain import mdb
 from tests.integration.robots import BROKEN, Robot

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mdb_deploy.experiments import experiment_path
-from mdb_protocol.zenoh_bus import Router
+from mdb_protocol.zenoh_sessions import Router
 from tests.integration.brain import mdb
 
 ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"

@@ -16,8 +16,9 @@ import pytest
 import zenoh
 
 from mdb_protocol import codec, keys, messages
-from mdb_protocol.bus import TAPPED, Raw
+from mdb_protocol.bus import TAPPED
 from mdb_protocol.keys import Delivery
+from mdb_protocol.waiting import Raw
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import MEMORY_FILE
 from tests.integration.brain import BRAIN, Brain, until

@@ -21,7 +21,8 @@ import zenoh
 from mdb_deploy.running.processes import ROUTER_CONFIG
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.messages import Message
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router
 from mdb_services.acting.outbox import UNSTORED
 from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_services.memory.file import PAGE
@@ -36,7 +37,8 @@ pytestmark = pytest.mark.long
 HOUR_S = 3600
 LISTENER = """
 import sys
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router
 with ZenohBus("pioneer", sys.argv[1]) as bus:
     tap = bus.tap()
     bus.token("viewer", "listener")

@@ -13,7 +13,8 @@ import pytest
 from mdb_deploy.running.processes import ROUTER_CONFIG
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
 from mdb_sim.robot.course import Rules
 from mdb_sim.robot.service import RobotService

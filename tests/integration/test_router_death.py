@@ -6,7 +6,8 @@ import pytest
 
 from mdb_deploy.running.processes import ROUTER_CONFIG
 from mdb_protocol import keys, messages
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router
 from tests.integration.brain import BRAIN, until
 
 MISSED = 5

@@ -14,7 +14,8 @@ import pytest
 from mdb_deploy.experiments import experiment_path
 from mdb_deploy.running.watch import Watch
 from mdb_protocol import keys, messages
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router
 from mdb_sim.runs.experiment import Experiment
 from tests.integration.brain import SHORT, Brain, mdb, until
 from tests.integration.robots import NEGLECTS, Robot

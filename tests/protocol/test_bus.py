@@ -8,9 +8,10 @@ from structlog.testing import capture_logs
 
 from mdb_protocol import bus as bus_module
 from mdb_protocol import codec, keys, messages
-from mdb_protocol.bus import AT_ONCE, LOGGED_LETTERS, Raw, Refusals
+from mdb_protocol.bus import AT_ONCE, LOGGED_LETTERS, Refusals
 from mdb_protocol.errors import BusError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_protocol.waiting import Raw
 
 BRAIN = "test"
 

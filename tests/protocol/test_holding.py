@@ -16,7 +16,8 @@ from mdb_protocol.bus import Bus
 from mdb_protocol.errors import TakenError
 from mdb_protocol.holding import hold
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_protocol.zenoh_bus import LEASE_MS, Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import LEASE_MS, Router
 from mdb_services.shell.service import announce
 
 ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from mdb_protocol.zenoh_bus import Router
+from mdb_protocol.zenoh_sessions import Router
 
 ROOT = Path(__file__).parents[2]
 BOUND_S = 30.0

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mdb_protocol import codec, keys, messages
-from mdb_protocol.bus import Raw
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_protocol.waiting import Raw
 from mdb_services.evolver import Evolver
 from mdb_services.experiment.brain import BrainConfig, brain_config
 from mdb_services.mechanism.networks.network import Network

@@ -12,9 +12,10 @@ from mcap.reader import make_reader
 from structlog.testing import capture_logs
 
 from mdb_protocol import codec, keys, messages
-from mdb_protocol.bus import TAPPED, Raw
+from mdb_protocol.bus import TAPPED
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_protocol.waiting import Raw
 from mdb_services import recorder as recorder_module
 from mdb_services.recorder import RETRY_S, EmptyLogError, Recorded, Recorder, read_log, segments_of
 from tests.services.small import BRAIN, model, pair, perception

@@ -13,11 +13,19 @@ from pathlib import Path
 from typing import Any
 
 from mdb_protocol.errors import ConfigError
+from mdb_protocol.keys import Delivery
 from mdb_protocol.roles import Role, User
 
 ACCESS_FILE = "access.json5"
 SAY = ("put", "reply", "declare_queryable", "liveliness_token")
 """Messages of one who gives: into the router from a writer, out of it to a reader."""
+ANSWER = ("reply", "declare_queryable")
+KEEP = ("put", *ANSWER)
+"""What a guest says where his publisher keeps what was said: its heartbeats, and answers to who missed something."""
+GUEST_SAYS = {Delivery.QUERY: ANSWER, Delivery.TOKEN: ("liveliness_token",)}
+"""What a guest says on keys that are not for samples."""
+SAMPLES = ("put", "reply")
+"""What he says on the others: an answer to who missed something lies on the sample's own key."""
 ASK = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
 """Messages of one who wants: into the router from a reader, out of it to a writer."""
 COMMENT = """\
@@ -49,22 +57,40 @@ def _id(user: User) -> str:
 
 
 def _rules(user: User) -> list[dict[str, Any]]:
-    everything = [user.everything()]
+    everything = _with_past([user.everything()])
+    reads = _with_past(user.reads())
     return [
-        _rule(user, "writes", "ingress", SAY, user.writes()),
+        *_writes(user),
         _rule(user, "is asked", "egress", ASK, everything),
-        _rule(user, "reads", "ingress", ASK, user.reads()),
-        _rule(user, "is told", "egress", SAY, user.reads()),
+        _rule(user, "reads", "ingress", ASK, reads),
+        _rule(user, "is told", "egress", SAY, reads),
     ]
 
 
-def _rule(user: User, what: str, flow: str, messages: Iterable[str], keys: Iterable[str]) -> dict[str, Any]:
+def _writes(user: User) -> list[dict[str, Any]]:
+    """Let the brain say all, a guest on each of his keys what belongs there."""
+    if user.role is Role.BRAIN:
+        return [_rule(user, "writes", "ingress", SAY, _with_past(user.writes()))]
+    rules = []
+    for row, key in user.writes_on().items():
+        says = GUEST_SAYS.get(row.delivery)
+        rules.append(_rule(user, f"writes {row.path}", "ingress", says or SAMPLES, [key]))
+        if says is None:
+            rules.append(_rule(user, f"keeps {row.path}", "ingress", KEEP, [f"{key}/@adv/**"]))
+    return rules
+
+
+def _with_past(keys: Iterable[str]) -> list[str]:
+    return [expression for key in keys for expression in (key, f"{key}/@adv/**")]
+
+
+def _rule(user: User, what: str, flow: str, messages: Iterable[str], keys: list[str]) -> dict[str, Any]:
     return {
         "id": f"{_id(user)} {what}",
         "permission": "allow",
         "flows": [flow],
         "messages": list(messages),
-        "key_exprs": [expression for key in keys for expression in (key, f"{key}/@adv/**")],
+        "key_exprs": keys,
     }
 
 

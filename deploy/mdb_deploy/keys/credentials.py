@@ -38,7 +38,7 @@ from mdb_protocol import bundle, endpoints
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.keys import NAME
 from mdb_protocol.roles import Role, User
-from mdb_protocol.zenoh_bus import RouterKeys
+from mdb_protocol.zenoh_sessions import RouterKeys
 from mdb_services.shell.whole_file import write_whole
 
 AUTHORITY_DAYS = 3650
@@ -152,7 +152,8 @@ class KeyFolder:
                 f"the router's certificate is for {', '.join(hosts)}, not for {endpoint.host}; "
                 f"'{self._renew()} --host {endpoint.host}' makes a new one"
             )
-        return RouterKeys(shown, access.read(self.path / access.ACCESS_FILE))
+        section = access.read(self.path / access.ACCESS_FILE)
+        return RouterKeys(shown, section, list(access.users(section).values()))
 
     def _renew(self) -> str:
         return f"mdb keys renew --keys {self.path}"

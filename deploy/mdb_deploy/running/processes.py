@@ -21,7 +21,8 @@ from mdb_protocol import endpoints
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, ConfigError, DamageError
 from mdb_protocol.holding import hold
-from mdb_protocol.zenoh_bus import Router, RouterKeys, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router, RouterKeys
 from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.shell.heartbeat import BEAT_S, CLOSE_S, COMPILE_S, START_S, Heart
 from mdb_services.shell.service import Service, Stopper, run

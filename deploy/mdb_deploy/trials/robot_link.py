@@ -13,8 +13,9 @@ from typing import NamedTuple
 import msgpack
 
 from mdb_protocol import codec, keys, messages
-from mdb_protocol.bus import Raw, read
+from mdb_protocol.bus import read
 from mdb_protocol.errors import DecodeError
+from mdb_protocol.waiting import Raw
 from mdb_protocol.zenoh_bus import ZenohBus
 
 ROBOTS = (keys.PERCEPTION, keys.SCENE, keys.PICTURE)

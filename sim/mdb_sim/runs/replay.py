@@ -22,10 +22,11 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple, Self
 
 from mdb_protocol import codec, files, keys, messages
-from mdb_protocol.bus import Raw, read
+from mdb_protocol.bus import read
 from mdb_protocol.errors import MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.memory_bus import Fabric, MemoryBus
+from mdb_protocol.waiting import Raw
 from mdb_services import evolver
 from mdb_services.acting import optimizer, teachers
 from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE

@@ -1,7 +1,7 @@
 """The body's node in the ROS 2 graph: a Zenoh session of its own, one publisher, two subscriptions, their tokens.
 
-Beside `mdb_protocol.zenoh_bus` the only module that imports zenoh, for these keys are none of a brain's. Callbacks
-run on Zenoh's threads and only hand over the newest bytes.
+Beside the protocol's bus the only module that imports zenoh, for these keys are none of a brain's. Callbacks run on
+Zenoh's threads and only hand over the newest bytes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from mdb_protocol.errors import BusError
-from mdb_protocol.zenoh_bus import open_client
+from mdb_protocol.zenoh_sessions import open_client
 from mdb_sim.bodies.ros2 import messages, names
 from mdb_sim.bodies.ros2.names import Endpoint, Topic
 from mdb_sim.bodies.ros2.options import Ros2Options

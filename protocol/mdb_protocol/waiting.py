@@ -1,0 +1,96 @@
+"""What has come and was not taken yet: bounded in number and bytes, so that no flood fills a reader's memory.
+
+Owns the queues behind inboxes and taps, and the mark that wakes their reader. Filled and taken from any thread.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from itertools import count
+from queue import Empty, SimpleQueue
+from typing import NamedTuple
+
+
+class Raw(NamedTuple):
+    """A sample as it came: full key, payload bytes, encoding string."""
+
+    key: str
+    payload: bytes
+    encoding: str
+
+
+def size_of(raw: Raw) -> int:
+    """Return the bytes of a sample with its key and encoding."""
+    return len(raw.payload) + len(raw.key) + len(raw.encoding)
+
+
+class Wake:
+    """Wakes the one who waits; keeps a single mark however much comes, so that it needs no memory."""
+
+    def __init__(self) -> None:
+        self._marks: SimpleQueue[None] = SimpleQueue()
+
+    def set(self) -> None:
+        """Say that something has come; called from any thread, after it can be taken."""
+        if self._marks.empty():
+            self._marks.put(None)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for a mark, or the bound; return whether there was one."""
+        try:
+            self._marks.get(timeout=timeout_s)
+        except Empty:
+            return False
+        while not self._marks.empty():
+            self._marks.get_nowait()
+        return True
+
+
+class Waiting:
+    """Samples in the order in which they came; of too many go the oldest of the path that has most of them.
+
+    So who floods one key drops what is on that key, and nothing of others.
+    """
+
+    def __init__(self, most: int, most_bytes: int) -> None:
+        """Keep at most so many samples, of so many bytes; one alone may be larger."""
+        self._most, self._most_bytes = most, most_bytes
+        self._paths: dict[str, deque[tuple[int, Raw]]] = {}
+        self._bytes: dict[str, int] = {}
+        self._number = count()
+        self._length = 0
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return self._length
+
+    def put(self, raw: Raw, path: str = "") -> list[str]:
+        """Let a sample wait; return the paths of those that went for it."""
+        dropped = []
+        with self._lock:
+            self._paths.setdefault(path, deque()).append((next(self._number), raw))
+            self._bytes[path] = self._bytes.get(path, 0) + size_of(raw)
+            self._length += 1
+            while self._length > self._most or (sum(self._bytes.values()) > self._most_bytes and self._length > 1):
+                counted = self._length > self._most
+                fullest = max(self._paths, key=lambda p: len(self._paths[p]) if counted else self._bytes[p])
+                self._pop(fullest)
+                dropped.append(fullest)
+        return dropped
+
+    def take(self, most: int = 1) -> list[Raw]:
+        """Take the oldest samples, in order."""
+        with self._lock:
+            return [self._pop(self._oldest()) for _ in range(min(most, self._length))]
+
+    def _oldest(self) -> str:
+        return min(self._paths, key=lambda path: self._paths[path][0][0])
+
+    def _pop(self, path: str) -> Raw:
+        _, raw = self._paths[path].popleft()
+        self._bytes[path] -= size_of(raw)
+        self._length -= 1
+        if not self._paths[path]:
+            del self._paths[path], self._bytes[path]
+        return raw

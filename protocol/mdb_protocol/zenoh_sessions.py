@@ -1,0 +1,148 @@
+"""Sessions over Eclipse Zenoh: a client's, and the router that carries all that a brain says.
+
+Owns how they are configured; what is said in them is `zenoh_bus`'s.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import zenoh
+
+from mdb_protocol import endpoints, limits
+from mdb_protocol.bundle import Bundle, why_refused
+from mdb_protocol.errors import BusError
+from mdb_protocol.roles import User
+
+LEASE_MS = 2000
+"""A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
+RETRY_MS = 50
+"""A client that has lost its router tries again after this; the waits grow to four times as long."""
+ADMIN, ADMIN_S = "@/*/router", 2.0
+"""Where a router tells of itself, and the bound on asking it."""
+QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
+
+
+def open_client(
+    connect: str, bundle: Bundle | None, timeout_s: float, give_up: Callable[[], bool] = lambda: False
+) -> zenoh.Session:
+    """Return a session through a router; BusError when none answers within the bound, or it refuses."""
+    retry = {"period_init_ms": RETRY_MS, "period_max_ms": 4 * RETRY_MS, "period_increase_factor": 1.5}
+    config = zenoh.Config.from_json5(
+        json.dumps(
+            {
+                "mode": "client",
+                "connect": {
+                    "endpoints": [connect],
+                    "timeout_ms": 1000,
+                    "exit_on_failure": True,
+                    "retry": retry,
+                },
+                "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+                "transport": {
+                    "shared_memory": {"enabled": False},  # 20 MB for each process that says something large
+                    "link": {
+                        "tx": {"lease": LEASE_MS},
+                        "tls": {} if bundle is None else bundle.client_tls(),
+                    },
+                },
+            }
+        )
+    )
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            reason = why_refused(endpoints.parse(connect), bundle)
+            if reason is not None and bundle is not None:
+                raise BusError(f"the router at {connect} cannot be used: {reason}") from error
+            if time.monotonic() >= deadline or give_up():
+                said = reason or (QUIC_SAYS if connect.startswith("quic/") else _first_line(error))
+                raise BusError(
+                    f"no router answers at {connect} within {timeout_s:g} s ({said}). 'mdb up' starts a brain with "
+                    f"its router, 'mdb run router --listen {connect}' one for several; --connect says where one runs"
+                ) from error
+            time.sleep(0.05)
+
+
+class RouterKeys(NamedTuple):
+    """What a router with keys shows and enforces: its own bundle, Zenoh's `access_control`, and who is admitted."""
+
+    bundle: Bundle
+    access_control: Mapping[str, object]
+    users: Sequence[User]
+
+
+class Router:
+    """A Zenoh router in this process (paper: none; ours), with the limits of the key table.
+
+    The same config file drives `zenohd`, without these limits.
+    """
+
+    def __init__(
+        self,
+        config_file: Path,
+        listen: str | None = None,
+        *,
+        keys: RouterKeys | None = None,
+        open_to_everyone: bool = False,
+    ) -> None:
+        """Start routing; `listen` replaces the file's endpoint, port 0 asks for a free one.
+
+        Raises `BusError` when the file is not a config, the endpoint cannot be had, or it can be reached from beyond
+        this machine and there are neither keys nor the plain word that it is `open_to_everyone`.
+        """
+        endpoints.check(listen or endpoints.USUAL)
+        try:
+            config = zenoh.Config.from_file(str(config_file))
+            if listen:
+                config.insert_json5("listen/endpoints", json.dumps([listen]))
+            self.listen, *more = json.loads(config.get_json("listen/endpoints"))
+            for endpoint in (self.listen, *more):
+                endpoints.check_listen(endpoint, has_keys=keys is not None, open_to_everyone=open_to_everyone)
+            if keys is not None:
+                config.insert_json5("transport/link/tls", json.dumps(keys.bundle.router_tls()))
+                config.insert_json5("access_control", json.dumps(keys.access_control))
+                config.insert_json5("downsampling", json.dumps(limits.rates(keys.users)))
+            config.insert_json5("low_pass_filter", json.dumps(limits.sizes()))
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            where = listen or f"the endpoint in {config_file}"
+            raise BusError(
+                f"the router cannot start on {where}: {_first_line(error)}. Is the port in use? Choose another "
+                "with --listen tcp/127.0.0.1:PORT (port 0: any free one)"
+            ) from error
+
+    def endpoint(self) -> str:
+        """Return where a client on this machine connects: the first endpoint it listens on, with the real port."""
+        for reply in self._session.get(ADMIN, timeout=ADMIN_S):
+            if reply.ok is not None:
+                locators: list[str] = json.loads(reply.ok.payload.to_bytes())["locators"]
+                return self._on_this_machine(locators)
+        raise BusError("the router does not say where it listens; is its admin space switched off?")
+
+    def answers(self) -> bool:
+        """Whether the router's own threads answer a query; waits `ADMIN_S` at most."""
+        return any(reply.ok is not None for reply in self._session.get(ADMIN, timeout=ADMIN_S))
+
+    def _on_this_machine(self, locators: list[str]) -> str:
+        """Undo that a router which listens on all addresses names the outer ones only."""
+        asked, first = endpoints.parse(self.listen), endpoints.parse(locators[0])
+        if asked.host in endpoints.EVERYWHERE:
+            return str(asked._replace(port=first.port).for_this_machine())
+        return locators[0]
+
+    def close(self) -> None:
+        """Stop routing; clients notice at once."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _first_line(error: Exception) -> str:
+    """Return what an error says, without where in Zenoh's own code it arose."""
+    said = str(error).strip()
+    return said.splitlines()[0].partition(" at /")[0][:200] if said else type(error).__name__
