@@ -1,6 +1,6 @@
 """What holds for every test."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 import structlog
@@ -15,3 +15,12 @@ def _log_as_at_first() -> Iterator[None]:
     """A test that runs a command in this process leaves its way of logging behind."""
     yield
     structlog.reset_defaults()
+
+
+@pytest.fixture(autouse=True)
+def _kind_and_input(request: pytest.FixtureRequest, record_property: Callable[[str, object], None]) -> None:
+    """Of what is tried at the edges, its kind and its input are properties of the test in the results."""
+    if (mark := request.node.get_closest_marker("edge")) is not None:
+        kind, tried = mark.args
+        record_property("kind", kind)
+        record_property("input", tried)

@@ -587,6 +587,18 @@ def test_a_name_that_is_taken_is_refused() -> None:
     assert "somebody teaches pioneer as ann already" in result.stderr
 
 
+@pytest.mark.edge("pipes and terminals", "mdb teach without a terminal")
+def test_without_a_terminal_it_says_so_and_ends() -> None:
+    router = Router(ROUTER_CONFIG, "tcp/127.0.0.1:0")
+    try:
+        result = mdb("teach", "--connect", router.endpoint())
+    finally:
+        router.close()
+    assert result.returncode == 2
+    assert "needs a terminal" in result.stderr
+    assert "teacher.py teaches without one" in result.stderr
+
+
 def test_help_says_keys_and_feedback() -> None:
     text = mdb("teach", "--help").stdout
     for said in ("z x c v b n m", "0 (punishment, -1) to 9 (reward, +1)", "--language", "p pause", "--no-teacher"):

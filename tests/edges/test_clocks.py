@@ -13,7 +13,8 @@ from mdb_deploy.keys.credentials import KeyFolder
 from mdb_deploy.running.processes import ROUTER_CONFIG
 from mdb_protocol.errors import BusError
 from mdb_protocol.roles import Role
-from mdb_protocol.zenoh_bus import Router, ZenohBus
+from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_protocol.zenoh_sessions import Router
 
 LISTEN = "tls/127.0.0.1:0"
 BRAIN = "pioneer"

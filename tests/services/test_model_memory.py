@@ -567,6 +567,7 @@ def test_a_run_that_has_begun_begins_with_nothing_else(tmp_path: Path) -> None:
     lesson = Lesson(path)
     lesson.live(0, 3)
     before = lesson.rig.snapshots()
+    lesson.rig.store.close()
     with MemoryFile(path) as file:
         file.keep_long_term([brought(1, "B")])
     lesson.rig.restart()

@@ -38,13 +38,14 @@ def _status(arguments: argparse.Namespace) -> int:
 
 def _health(arguments: argparse.Namespace) -> int:
     from mdb_protocol.zenoh_bus import ZenohBus
+    from mdb_services.experiment.sections import DEFAULT_BRAIN
 
     brain = arguments.brain or _brain_of(arguments.run)
 
     def bus_of(name: str) -> ZenohBus:
         return ZenohBus(name, arguments.connect, credentials=arguments.keys, connect_timeout_s=1.0)
 
-    bus = bus_of(brain or "any")
+    bus = bus_of(brain or DEFAULT_BRAIN)
     with bus:
         if arguments.name == "router":
             return 0

@@ -57,8 +57,6 @@ class TeachOptions:
 
 def teach(options: TeachOptions) -> int:
     """Teach until the person leaves; return the exit status. MdbError when that cannot be, or failed."""
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise MdbError(f"'mdb teach' needs a terminal, to be read from and drawn on; {SCRIPT} teaches without one")
     source = options.experiment
     content = read_file(source) if source is not None else {}
     policy = policy_of(content, source)
@@ -73,6 +71,10 @@ def teach(options: TeachOptions) -> int:
         session = TeachingSession(
             bus, name, language, policy, auto=options.auto, player=player, listens=options.microphone
         )
+        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+            raise MdbError(
+                f"'mdb teach' needs a terminal, to be read from and drawn on; {SCRIPT} teaches without one"
+            )
         app = TeachApp(session, options.connect, suggest=options.suggest)
         microphone = Microphone()
         if options.microphone:

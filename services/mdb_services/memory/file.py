@@ -6,14 +6,13 @@ Owns `memory.sqlite` of a run (SQLite, write-ahead log). Decides nothing: `model
 from __future__ import annotations
 
 import fcntl
-import os
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, BinaryIO, NamedTuple, Self
 
 from mdb_protocol import codec, files, messages
 from mdb_protocol.errors import DamageError, DecodeError, MdbError, TakenError
@@ -105,7 +104,7 @@ class MemoryFile:
         try:
             self._open(power_safe=power_safe)
         except BaseException:
-            os.close(self._lock)
+            self._lock.close()
             raise
 
     def _open(self, *, power_safe: bool) -> None:
@@ -140,9 +139,7 @@ class MemoryFile:
         self._place.check()
 
     def _check_length(self) -> None:
-        """See that it is a file, and whole.
-
-        Raise DamageError for what SQLite mends in silence: it removes a log beside an empty file, and so on."""
+        """DamageError for what is no file, or what SQLite mends in silence: a log beside an empty file, and so on."""
         log = log_of(self._path)
         for path in (self._path, log):
             try:
@@ -370,7 +367,7 @@ class MemoryFile:
     def close(self) -> None:
         """Close the file."""
         self._db.close()
-        os.close(self._lock)
+        self._lock.close()
 
 
 def _unopened(path: Path, error: Exception) -> MdbError:
@@ -380,14 +377,14 @@ def _unopened(path: Path, error: Exception) -> MdbError:
     )
 
 
-def _hold(path: Path) -> int:
-    """Hold a memory file until the descriptor that is returned is closed, or this process dies, however it does.
+def _hold(path: Path) -> BinaryIO:
+    """Hold a memory file until what is returned is closed, or this process dies, however it does.
 
     One that another process has is waited for as long as one that is being killed may take to be gone.
     """
     deadline = time.monotonic() + HOLD_S
     try:
-        lock = os.open(path.with_name(f"{path.name}{LOCK_ENDING}"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        lock = path.with_name(f"{path.name}{LOCK_ENDING}").open("ab")
     except OSError as error:
         raise _unopened(path, error) from error
     while True:
@@ -397,7 +394,7 @@ def _hold(path: Path) -> int:
             if time.monotonic() < deadline:
                 time.sleep(HOLD_S / 20)
                 continue
-            os.close(lock)
+            lock.close()
             raise TakenError(
                 f"another process writes {path}: a brain that runs. Stop it first, with Ctrl-C in its 'mdb up'; "
                 f"'mdb up --resume {path.parent}' goes on afterwards"
