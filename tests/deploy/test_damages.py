@@ -149,7 +149,13 @@ def test_a_memory_that_is_as_it_was_holds_and_all_of_it_was_looked_at(folder: Pa
     assert all(told.checked.values()), told.checked
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize(
+    "damage",
+    [
+        pytest.param(name, marks=pytest.mark.edge("damage to what was stored, which the witness notices", name))
+        for name in DAMAGES
+    ],
+)
 def test_the_witness_notices(folder: Path, damage: str) -> None:
     DAMAGES[damage](folder)
     try:

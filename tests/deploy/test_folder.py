@@ -1,6 +1,5 @@
 """A run folder that is lost is said within seconds, and so is that it is back; what is lost is not acknowledged."""
 
-import os
 import shutil
 from pathlib import Path
 
@@ -26,6 +25,7 @@ def folder(tmp_path: Path) -> Path:
     return run
 
 
+@pytest.mark.edge("the run folder taken away", "moved away and back")
 def test_a_folder_that_is_moved_away_is_said_once_and_that_it_is_back(folder: Path) -> None:
     watched = RunFolder(folder, "stop", Clock())
     with capture_logs() as said:
@@ -41,6 +41,7 @@ def test_a_folder_that_is_moved_away_is_said_once_and_that_it_is_back(folder: Pa
     assert watched.trouble == ""
 
 
+@pytest.mark.edge("the run folder taken away", "another folder in its place")
 def test_another_folder_in_its_place_is_not_it(folder: Path) -> None:
     watched = RunFolder(folder, "act", Clock())
     keeps_the_inode = folder.with_name("old")
@@ -52,14 +53,7 @@ def test_another_folder_in_its_place_is_not_it(folder: Path) -> None:
     assert "nothing is stored" in said[0]["then"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_read_only_folder_is_said(folder: Path) -> None:
-    place = Place(folder)
-    folder.chmod(0o555)
-    with pytest.raises(OSError, match="read-only"):
-        place.check()
-
-
+@pytest.mark.edge("the run folder taken away", "one of its files deleted")
 def test_a_file_that_was_deleted_is_not_written_to_any_more(folder: Path) -> None:
     file = folder / "memory.sqlite"
     file.touch()

@@ -158,6 +158,7 @@ HANGS_ONCE = BEATS + (
 NEVER_GETS_READY = BEATS + "heart.beat(0.3)\ntime.sleep(60)"
 
 
+@pytest.mark.edge("a start that fails, a process that hangs", "a loop that hangs")
 def test_a_process_whose_loop_hangs_is_ended_and_started_again(tmp_path: Path) -> None:
     async def check(rig: Rig) -> None:
         await rig.runner.start()
@@ -170,6 +171,7 @@ def test_a_process_whose_loop_hangs_is_ended_and_started_again(tmp_path: Path) -
     assert died["reason"].startswith("it hung: no sign of life for ")
 
 
+@pytest.mark.edge("a start that fails, a process that hangs", "SIGSTOP for good")
 def test_a_process_that_is_stopped_for_good_is_ended_and_started_again(tmp_path: Path) -> None:
     lives = BEATS + "flag.touch()\nwhile True:\n    heart.beat(0.3)\n    time.sleep(0.01)"
 
@@ -184,6 +186,7 @@ def test_a_process_that_is_stopped_for_good_is_ended_and_started_again(tmp_path:
     run(lambda: Rig(tmp_path, lives), check)
 
 
+@pytest.mark.edge("a start that fails, a process that hangs", "hangs at each start")
 def test_one_that_hangs_at_each_start_ends_the_run_with_the_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -202,6 +205,7 @@ def test_who_dies_quickly_again_and_again_is_given_more_time_to_show_a_sign_of_l
     assert [Child(spec, Path("log"), quick_deaths=n).patience for n in range(4)] == [1.0, 2.0, 4.0, 8.0]
 
 
+@pytest.mark.edge("a start that fails, a process that hangs", "the folder of the logs deleted")
 def test_a_log_folder_that_was_deleted_is_made_again(tmp_path: Path) -> None:
     async def check(rig: Rig) -> None:
         await rig.runner.start()
@@ -213,6 +217,7 @@ def test_a_log_folder_that_was_deleted_is_made_again(tmp_path: Path) -> None:
     run(lambda: Rig(tmp_path, LIVES), check)
 
 
+@pytest.mark.edge("a start that fails, a process that hangs", "a log file that cannot be opened")
 def test_a_start_that_fails_is_a_death_that_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "BACKOFF_S", 0.01)
 
@@ -229,6 +234,7 @@ def test_a_start_that_fails_is_a_death_that_is_tried_again(tmp_path: Path, monke
     run(lambda: Rig(tmp_path, LIVES), check)
 
 
+@pytest.mark.edge("a start that fails, a process that hangs", "no start succeeds")
 def test_a_start_that_fails_again_and_again_ends_the_run_saying_why(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,6 +252,7 @@ def test_a_start_that_fails_again_and_again_ends_the_run_saying_why(
     run(lambda: Rig(tmp_path, LIVES), check)
 
 
+@pytest.mark.edge("a start that fails, a process that hangs", "no descriptors left for a while")
 def test_without_descriptors_for_a_while_the_process_comes_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -265,6 +272,7 @@ def test_without_descriptors_for_a_while_the_process_comes_back(
     run(lambda: Rig(tmp_path, LIVES), check)
 
 
+@pytest.mark.edge("a start that fails, a process that hangs", "a mistake in the runner itself")
 def test_a_mistake_in_the_runner_itself_ends_the_run(tmp_path: Path) -> None:
     async def check(rig: Rig) -> None:
         await rig.runner.start()

@@ -1,10 +1,12 @@
 """A file of a stranger's is refused in words, soon and in little memory, and nothing is written beside it."""
 
+from collections.abc import Callable
+
 import pytest
 
 from tests.edges.cases import KINDS, Kind
-from tests.edges.table import outcomes
-from tests.edges.trial import Outcome, warm
+from tests.edges.table import MOST_BYTES, MOST_S
+from tests.edges.trial import Outcome, outcomes, warm
 
 QUICK = {
     ("memory file", "its models are an endless view"),
@@ -19,8 +21,14 @@ QUICK = {
     ("result of a study", "columns of somebody else"),
 }
 """Tried in every run of the tests; the others with `-m long`."""
+assert {(kind.name, name) for kind in KINDS for name in kind.inputs} >= QUICK
 ALL = [
-    pytest.param(kind, name, marks=() if (kind.name, name) in QUICK else pytest.mark.long, id=f"{kind.name}-{name}")
+    pytest.param(
+        kind,
+        name,
+        id=f"{kind.name}-{name}",
+        marks=[pytest.mark.edge(kind.name, name), *([] if (kind.name, name) in QUICK else [pytest.mark.long])],
+    )
     for kind in KINDS
     for name in kind.inputs
 ]
@@ -32,10 +40,8 @@ def _warm() -> None:
 
 
 @pytest.mark.parametrize(("kind", "name"), ALL)
-def test_is_refused(kind: Kind, name: str) -> None:
-    found: list[Outcome] = list(outcomes(kind, [name]))
+def test_is_refused(kind: Kind, name: str, record_property: Callable[[str, object], None]) -> None:
+    found: list[Outcome] = list(outcomes(kind, name))
+    record_property(MOST_S, max(outcome.processor_s for outcome in found))
+    record_property(MOST_BYTES, max(outcome.grown_bytes for outcome in found))
     assert {(outcome.command, outcome.held): outcome.said for outcome in found if outcome.held is not None} == {}
-
-
-def test_each_quick_one_is_a_case() -> None:
-    assert {(kind.name, name) for kind in KINDS for name in kind.inputs} >= QUICK

@@ -15,8 +15,10 @@ import shutil
 import sys
 import threading
 import unicodedata
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from tests.edges.cases import Kind, Make
 
@@ -61,6 +63,14 @@ class Outcome:
             "wrote into the run": self.touched,
         }
         return next((why for why, is_so in wrong.items() if is_so), None)
+
+
+def outcomes(kind: Kind, name: str) -> Iterator[Outcome]:
+    """Try an input with every command that reads it."""
+    for command in kind.commands:
+        with TemporaryDirectory() as folder:
+            made(kind, kind.inputs[name], Path(folder))
+            yield attempt(kind, name, command, Path(folder))
 
 
 def made(kind: Kind, make: Make, folder: Path) -> None:

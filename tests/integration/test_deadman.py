@@ -198,6 +198,7 @@ def test_who_hangs_is_replaced_and_nobody_else_is(watched: Watched, ears: Ears, 
     assert before - {child.pid for child in brain.children()} == {hung}
 
 
+@pytest.mark.edge("a start that fails, a process that hangs", "everybody asleep for a while: nobody is replaced")
 def test_after_a_sleep_of_everybody_nobody_is_replaced(watched: Watched, ears: Ears) -> None:
     brain, _, _ = watched
     before = {child.pid for child in brain.children()}
