@@ -43,6 +43,9 @@ LOG_EVERY_S = 60.0
 LOGGED_LETTERS = 300
 MARGIN_BYTES = 1024
 """Kept free for key and encoding, of the most that a reader takes at once."""
+REFUSED_S, MOST_OWED_S = 0.0002, 0.02
+"""For each message that is refused, or dropped for want of room, the transport takes in nothing for so long, so that
+a flood goes at a pace that leaves the processor to others: its sender waits. At most so long at a time."""
 TAPPED = "**"
 """Stands for keys that no brain has, in counts of what a tap dropped or refused."""
 
@@ -62,6 +65,7 @@ class Refusals:
         self.dropped: Counter[str] = Counter()
         self._clock = clock
         self._quiet_until_s: dict[tuple[str, str], float] = {}
+        self._owed_s = 0.0
         self._lock = threading.Lock()
 
     def add(self, path: str, reason: str) -> None:
@@ -72,8 +76,15 @@ class Refusals:
         """Count one message on `path` for which there was no room."""
         self._add(self.dropped, path, "message dropped", reason)
 
+    def pause(self) -> None:
+        """Wait as long as refused messages have brought; called by the transport before it hands over more."""
+        if self._owed_s:
+            owed_s, self._owed_s = self._owed_s, 0.0
+            time.sleep(min(owed_s, MOST_OWED_S))
+
     def _add(self, counter: Counter[str], path: str, what: str, reason: str) -> None:
         with self._lock:
+            self._owed_s += REFUSED_S
             counter[path] += 1
             count, now = counter[path], self._clock()
             if count > LOGGED_REFUSALS and now < self._quiet_until_s[path, what]:
@@ -124,17 +135,18 @@ class Inbox(Reader):
                 self._refusals.drop(self._row.path, "too many messages wait; oldest dropped")
         self._wake.set()
 
-    def take(self) -> Any:
+    def take(self, fits: Callable[[Any], bool] = lambda _: True) -> Any:
         """Return the next valid message (latest-value keys: the newest, dropping older), or None.
 
+        Of a latest-value key the newest that `fits` comes first, so that what is none of its writer's hides nothing.
         Also None after many that were not valid; `Bus.wait` then returns at once.
         """
         refused = 0
         while waiting := self._next():
             self.taken += len(waiting)
-            for raw in reversed(waiting):
-                if (message := self._read(raw)) is not None:
-                    return message
+            valid = [message for raw in reversed(waiting) if (message := self._read(raw)) is not None]
+            if valid:
+                return next(filter(fits, valid), valid[0])
             refused += len(waiting)
             if refused >= AT_ONCE:
                 self._wake.set()

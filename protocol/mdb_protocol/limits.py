@@ -1,7 +1,7 @@
 """How much and how often may be said on a key: the router's limits, made of the key table.
 
-Owns Zenoh's `low_pass_filter` and `downsampling` sections. What is too large or too soon is dropped without a word.
-Measured with Zenoh 1.10: both count for each link by itself; of rates the first rule whose keys meet a sample's
+Owns Zenoh's `low_pass_filter`, `downsampling` and `qos` sections. What is too large or too soon is dropped without a
+word. Measured with Zenoh 1.10: both count for each link by itself; of rates the first rule whose keys meet a sample's
 counts, of sizes the smallest that includes it; a rate is the time that must have passed since the last sample, so of
 two sent together one is dropped, which readers ask for again (see `following`).
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from mdb_protocol.codec import MAX_BYTES
-from mdb_protocol.keys import KEYS, ROOT, SMALL
+from mdb_protocol.keys import KEYS, ROOT, SMALL, Key
 from mdb_protocol.roles import Role, User
 
 KEPT_HZ = 50
@@ -40,10 +40,31 @@ def _size(name: str, messages: list[str], keys: list[str], most: int) -> dict[st
 
 def rates(users: Iterable[User]) -> list[dict[str, object]]:
     """Return `downsampling`: how often each guest may write on his own keys; the brain's are not slowed down."""
-    freq: dict[str, float] = {}
-    for user in users:
-        for row, key in user.writes_on().items() if user.role is not Role.BRAIN else ():
-            if row.guests_write:
-                freq |= {key: row.most_hz, f"{key}/@adv/**": KEPT_HZ}
-    rules = [{"key_expr": key, "freq": hz} for key, hz in freq.items()]
+    rules: list[dict[str, object]] = []
+    for key, row in _guests(users).items():
+        rules += [{"key_expr": key, "freq": row.most_hz}, {"key_expr": f"{key}/@adv/**", "freq": KEPT_HZ}]
     return [{"id": "guests", "flows": ["ingress"], "messages": ["put"], "rules": rules}] if rules else []
+
+
+def priorities(users: Iterable[User]) -> list[dict[str, object]]:
+    """Return `qos/network`: what guests write comes after what the brain says, whatever priority they ask for."""
+    keys = [expression for key in _guests(users) for expression in (key, f"{key}/@adv/**")]
+    return (
+        [
+            {
+                "id": "after",
+                "flows": ["ingress"],
+                "messages": ["put"],
+                "key_exprs": keys,
+                "overwrite": {"priority": "data"},
+            }
+        ]
+        if keys
+        else []
+    )
+
+
+def _guests(users: Iterable[User]) -> dict[str, Key]:
+    """Return the keys that guests may write, with their rows."""
+    guests = (user for user in users if user.role is not Role.BRAIN)
+    return {key: row for user in guests for row, key in user.writes_on().items() if row.guests_write}

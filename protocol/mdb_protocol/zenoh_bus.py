@@ -102,6 +102,7 @@ class ZenohBus(Bus):
             key,
             encoding=codec.encoding_of(row.message),
             congestion_control=zenoh.CongestionControl.DROP if drops else zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.DATA_HIGH,  # `zenoh_sessions.CONTROL`
             express=True,
             cache=ext.CacheConfig(1 if row.delivery is Delivery.LATEST else RELIABLE_CACHE),
             sample_miss_detection=_heartbeat(row),
@@ -129,7 +130,10 @@ class ZenohBus(Bus):
     def _subscribe(self, key: str, put: Callable[[Raw], None], history: int) -> None:
         """Hand samples to `put`, and at first the last `history` ones that each publisher has."""
 
+        refusals = self.refusals
+
         def hand_over(sample: zenoh.Sample) -> None:
+            refusals.pause()
             if sample.kind == zenoh.SampleKind.PUT:
                 put(_raw(sample))
 
@@ -148,9 +152,10 @@ class ZenohBus(Bus):
         What callbacks hold must not lead back to this bus: the last one to let go of it would be a thread of Zenoh's,
         in which a session can never be closed.
         """
-        follower = Follower(put, manner, self._missed.set)
+        follower, refusals = Follower(put, manner, self._missed.set), self.refusals
 
         def hand_over(sample: zenoh.Sample) -> None:
+            refusals.pause()
             if sample.kind == zenoh.SampleKind.PUT:
                 follower.hear(_raw(sample), _origin(sample))
 

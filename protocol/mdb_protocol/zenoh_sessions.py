@@ -6,6 +6,7 @@ Owns how they are configured; what is said in them is `zenoh_bus`'s.
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,6 +23,14 @@ LEASE_MS = 2000
 """A process that stops without a word (frozen, cable pulled) is seen as gone after this."""
 RETRY_MS = 50
 """A client that has lost its router tries again after this; the waits grow to four times as long."""
+SHORT = {"so_sndbuf": 2**15, "so_rcvbuf": 2**15}
+"""Bytes in the system's hands on the way. They cannot be overtaken: what a flood puts there, all else waits for."""
+CONTROL, WAITING = "data_high", 16
+"""The priority of what we say, which overtakes at each hop what strangers say with Zenoh's usual one, or guests, whom
+a router with keys gives that one; and the parts of `batch_size` that may wait there before a latest value is dropped.
+"""
+ROUTER_THREADS = "(rx: (worker_threads: 8))"
+"""One that forwards to a reader who takes nothing waits; with Zenoh's two, so do all."""
 ADMIN, ADMIN_S = "@/*/router", 2.0
 """Where a router tells of itself, and the bound on asking it."""
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
@@ -46,8 +55,9 @@ def open_client(
                 "transport": {
                     "shared_memory": {"enabled": False},  # 20 MB for each process that says something large
                     "link": {
-                        "tx": {"lease": LEASE_MS},
-                        "tls": {} if bundle is None else bundle.client_tls(),
+                        "tx": {"lease": LEASE_MS, "queue": {"size": {CONTROL: WAITING}}},
+                        "tcp": SHORT,
+                        "tls": SHORT if bundle is None else SHORT | bundle.client_tls(),
                     },
                 },
             }
@@ -98,6 +108,7 @@ class Router:
         this machine and there are neither keys nor the plain word that it is `open_to_everyone`.
         """
         endpoints.check(listen or endpoints.USUAL)
+        os.environ.setdefault("ZENOH_RUNTIME", ROUTER_THREADS)
         try:
             config = zenoh.Config.from_file(str(config_file))
             if listen:
@@ -106,9 +117,10 @@ class Router:
             for endpoint in (self.listen, *more):
                 endpoints.check_listen(endpoint, has_keys=keys is not None, open_to_everyone=open_to_everyone)
             if keys is not None:
-                config.insert_json5("transport/link/tls", json.dumps(keys.bundle.router_tls()))
+                config.insert_json5("transport/link/tls", json.dumps(SHORT | keys.bundle.router_tls()))
                 config.insert_json5("access_control", json.dumps(keys.access_control))
                 config.insert_json5("downsampling", json.dumps(limits.rates(keys.users)))
+                config.insert_json5("qos/network", json.dumps(limits.priorities(keys.users)))
             config.insert_json5("low_pass_filter", json.dumps(limits.sizes()))
             self._session = zenoh.open(config)
         except zenoh.ZError as error:

@@ -111,7 +111,8 @@ class Optimizer:
         """Take what has come, then go on from the present stage."""
         if not isinstance(self._stage, Joining):
             self._intake.take(self._next, began=self._began)
-            perception = self._perceptions.take()
+            due = self._due
+            perception = self._perceptions.take(lambda shown: abs(shown.iteration - due) <= 1)
             if perception is not None and not isinstance(self._stage, Ending | Ended):
                 self._perceive(perception)
             self._outbox.resend(self._clock())
@@ -125,6 +126,11 @@ class Optimizer:
     def _began(self) -> bool:
         """Whether we have met the robot."""
         return not isinstance(self._stage, Joining | Meeting)
+
+    @property
+    def _due(self) -> int:
+        """The iteration that the robot is to show next."""
+        return self._next + isinstance(self._stage, Acting | Judging)
 
     # ---- joining ----
 
@@ -158,9 +164,9 @@ class Optimizer:
         The first that is met counts; later one that is more than a step ahead only when it insists.
         """
         now, stage, shown = self._clock(), self._stage, perception.iteration
-        due = self._next + isinstance(stage, Acting | Judging)
+        due = self._due
         most = max(self._experiment.iterations, self._next)
-        far = shown > (due + 1 if self._began else most)
+        far = not due - 1 <= shown <= due + 1 if self._began else shown > most
         if far and not (shown <= most and self._elsewhere.believed(shown, now)):
             self._intake.refuse(keys.PERCEPTION, "perception", shown)
             return

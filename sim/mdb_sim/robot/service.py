@@ -124,7 +124,7 @@ class RobotService:
         if not self._acting.busy and (asked := self._asked.take()) is not None:
             self._change(asked)
             moved = True
-        action = self._actions.take()
+        action = self._actions.take(lambda action: 0 <= action.iteration - self._perception.iteration <= 1)
         if action is not None:
             self._heard_s = self._clock()
             self._take(action)

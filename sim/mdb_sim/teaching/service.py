@@ -46,7 +46,7 @@ class ScriptedTeacher:
 
     def step(self) -> bool:
         """Judge the action that led to the newest scene, then command the next."""
-        scene = self._scenes.take()
+        scene = self._scenes.take(lambda scene: 0 <= scene.iteration - self._iteration <= 1)
         if scene is None:
             return False
         self._judge(scene)
