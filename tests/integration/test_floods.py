@@ -24,7 +24,10 @@ FLOODS = [
 ]
 BUSY = TEACHER, "nothing"
 """What a flood takes of the processor by itself, which no limit gives back."""
-AFTER_S = 5.0
+AFTER_S, MEASURED_S = 5.0, 3.0
+"""By then all is as before; the pace is measured in the last part of it."""
+AS_BEFORE = 0.7
+"""What of the pace before is as before, on a machine that has other work, too."""
 
 
 class Flooded:
@@ -77,8 +80,8 @@ class Flooded:
         assert int(done.stdout) > 0, "nothing was said"
         return pace
 
-    def check(self) -> None:
-        """Nobody has died, none has grown by much, acting goes on."""
+    def check(self) -> str:
+        """Nobody has died, none has grown by much, acting goes on; return who has grown most."""
         self.goes_on(5)
         children = {child.pid: child for child in self._brain.children()}
         assert set(children) == set(self._processes)
@@ -86,6 +89,8 @@ class Flooded:
             " ".join(c.cmdline()[4:8]): (c.memory_info().rss - self._processes[p]) / 1e6 for p, c in children.items()
         }
         assert not {name: mb for name, mb in grown.items() if mb > GROWN_MB}
+        most = max(grown, key=lambda name: grown[name])
+        return f"{most} has grown by {grown[most]:.0f} MB"
 
 
 @pytest.mark.long
@@ -100,19 +105,17 @@ def test_floods_of_every_kind_leave_the_brain_as_it_was(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_in_ten_sequences_of_floods_acting_keeps_half_its_pace_and_never_stalls(tmp_path: Path) -> None:
+def test_in_ten_sequences_of_floods_acting_keeps_half_its_pace_and_is_soon_as_before(tmp_path: Path) -> None:
     flooded = Flooded(tmp_path)
     with flooded.running():
         for turn in range(10):
+            before, busy = flooded.pace_hz(4.0), flooded.pace_in_flood_hz(BUSY, 4.0)
+            sys.stderr.write(f"\n{turn + 1}: {before:.1f} a second, {busy:.1f} beside a busy process\n")
             for flood in FLOODS:
-                before = flooded.pace_hz(4.0)
-                busy = flooded.pace_in_flood_hz(BUSY, 4.0)
                 during = flooded.pace_in_flood_hz(flood, 8.0)
-                after = flooded.pace_hz(AFTER_S)
+                select_nothing(AFTER_S - MEASURED_S)
+                after = flooded.pace_hz(MEASURED_S)
                 kind = f"{flood[0].role.value}: {flood[1]}"
-                sys.stderr.write(
-                    f"{turn + 1} {kind}: {before:.1f} a second, {busy:.1f} beside a busy process, {during:.1f} in it,"
-                    f" {after:.1f} after\n"
-                )
+                sys.stderr.write(f"{turn + 1} {kind}: {during:.1f} in it, {after:.1f} after; {flooded.check()}\n")
                 assert during > 0.5 * min(before, busy), kind
-                flooded.check()
+                assert after > AS_BEFORE * before, kind

@@ -37,7 +37,8 @@ def _test(arguments: argparse.Namespace) -> int:
     os.chdir(root)
     results = root / "runs" / "tests.xml"
     os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # those of others on PYTHONPATH, as ROS has them
-    for inherited in ("PYTEST_ADDOPTS", "PYTEST_PLUGINS"):
+    # The tests start programs as their users do, who have not set it.
+    for inherited in ("PYTEST_ADDOPTS", "PYTEST_PLUGINS", "PYTHONSAFEPATH"):
         os.environ.pop(inherited, None)
     own = [word for name in PLUGINS for word in ("-p", name)]
     status = int(pytest.main([*own, f"--junit-xml={results}", *(arguments.words or SIDE_BY_SIDE)]))
