@@ -5,8 +5,10 @@ Owns how they are configured; what is said in them is `zenoh_bus`'s.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -31,6 +33,10 @@ a router with keys gives that one; and the parts of `batch_size` that may wait t
 """
 ROUTER_THREADS = "(rx: (worker_threads: 8))"
 """One that forwards to a reader who takes nothing waits; with Zenoh's two, so do all."""
+MALLOPT = ((-8, 2), (-3, 2**20), (-1, 2**20))
+"""glibc's M_ARENA_MAX, M_MMAP_THRESHOLD and M_TRIM_THRESHOLD, for a router: what large messages and many short-lived
+keys took goes back to the system, where it stayed (100 MB after a minute of floods).
+"""
 ADMIN, ADMIN_S = "@/*/router", 2.0
 """Where a router tells of itself, and the bound on asking it."""
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
@@ -109,6 +115,7 @@ class Router:
         """
         endpoints.check(listen or endpoints.USUAL)
         os.environ.setdefault("ZENOH_RUNTIME", ROUTER_THREADS)
+        _give_memory_back()
         try:
             config = zenoh.Config.from_file(str(config_file))
             if listen:
@@ -152,6 +159,13 @@ class Router:
     def close(self) -> None:
         """Stop routing; clients notice at once."""
         self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _give_memory_back() -> None:
+    """Tell the C library to; another than glibc is left as it is."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    for parameter, value in MALLOPT if mallopt is not None and sys.platform == "linux" else ():
+        mallopt(parameter, value)
 
 
 def _first_line(error: Exception) -> str:
