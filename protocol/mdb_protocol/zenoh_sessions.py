@@ -163,9 +163,10 @@ class Router:
 
 def _give_memory_back() -> None:
     """Tell the C library to; another than glibc is left as it is."""
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    for parameter, value in MALLOPT if mallopt is not None and sys.platform == "linux" else ():
-        mallopt(parameter, value)
+    library = ctypes.CDLL(None)
+    if sys.platform == "linux" and hasattr(library, "mallopt"):
+        for parameter, value in MALLOPT:
+            library.mallopt(parameter, value)
 
 
 def _first_line(error: Exception) -> str:

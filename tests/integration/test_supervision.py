@@ -109,5 +109,6 @@ def test_with_hangs_among_kills_nothing_acknowledged_is_lost(tmp_path: Path) -> 
     report = run_chaos(options, print)
     assert {kill.hang for kill in report.kills} == {True, False}
     assert all(kill.recovered_s is not None for kill in report.kills)
+    assert report.total.kills + sum(row.kills for row in report.hung) == len(report.kills)
     assert report.findings.holds, report.findings
     assert (report.moved_alone, report.status) == (0, 130)

@@ -184,6 +184,7 @@ class Chaos:
         self._pending.append(Pending(kill, self.brain.members[role].token, killed_s))
         for pending in self._pending:
             pending.kill.together = len(self._pending) > 1
+            pending.kill.beside_hang |= any(other.kill.hang for other in self._pending if other is not pending)
         return True
 
     def _may_die(self, role: str, age_s: float) -> bool:

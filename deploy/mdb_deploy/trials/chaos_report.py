@@ -23,6 +23,7 @@ HANG_MEDIAN_S, HANG_P99_S = 4.0, 8.0
 """The same from a hang, which is noticed by silence only."""
 BY_A_LOT = 2.0
 """Beyond the bounds times this the command fails: a loaded machine alone does not do it."""
+BESIDE = "killed while another hung"
 TOLD = 20
 """Damages that are named."""
 ENDS = (0, 130)
@@ -40,6 +41,8 @@ class Kill:
     """Whether it was stopped for good, not killed."""
     together: bool = False
     """Whether another was killed before this one had recovered."""
+    beside_hang: bool = False
+    """Whether another hung before this one had recovered, which then waits for that one, too."""
     token_s: float | None = None
     recovered_s: float | None = None
 
@@ -86,7 +89,7 @@ class Report:
     run: Path
     kills: list[Kill]
     rows: list[Row]
-    """Of those who were killed, by role."""
+    """Of those who were killed while nobody hung, by role."""
     total: Row
     findings: Findings
     iterations: int
@@ -100,7 +103,7 @@ class Report:
     """Load average of the machine (1 min) before and after."""
     cores: int
     hung: list[Row] = field(default_factory=list)
-    """Of those who hung, by role."""
+    """Of those who hung, by role, and of those who were killed meanwhile."""
     hung_total: Row | None = None
 
     @classmethod
@@ -117,14 +120,16 @@ class Report:
     ) -> Report:
         """Return the report; reads the run's log. MdbError when there is none that can be read."""
         logged = {r.message.iteration for r in read_log(run) if r.row is keys.ITERATION}  # type: ignore[attr-defined]
-        killed, hung = ([kill for kill in kills if kill.hang is hang] for hang in (False, True))
+        hung = [kill for kill in kills if kill.hang]
+        beside = [kill for kill in kills if kill.beside_hang and not kill.hang]
+        killed = [kill for kill in kills if not kill.beside_hang and not kill.hang]
         return cls(
             run=run,
             kills=kills,
             rows=Row.by_role(killed),
             total=Row.of("all", killed),
-            hung=Row.by_role(hung),
-            hung_total=Row.of("all", hung) if hung else None,
+            hung=[*Row.by_role(hung), *([Row.of(BESIDE, beside)] if beside else [])],
+            hung_total=Row.of("all", [*hung, *beside]) if hung else None,
             findings=findings,
             iterations=findings.stored,
             took_s=took_s,
