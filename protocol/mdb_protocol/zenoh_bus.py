@@ -44,10 +44,12 @@ HEARTBEAT_S = 0.25
 """How often a reliable publisher says how far it is, so that a lost last sample is noticed;
 always, not only when it has sent something since: said while the router is dead, nobody would hear it.
 """
-ASKED_KEPT = 256
-"""Queries that wait to be answered; who asks then gets no answer."""
-SERVED_AT_ONCE = 16
-"""Queries answered before the service does its own work again."""
+ASKED_KEPT = 1024
+"""Queries on one row that wait to be answered; who asks then gets no answer."""
+SERVED_AT_ONCE, SERVED_EVERY_S = 16, 0.1
+"""Queries on one row answered before the service does its own work again, and how soon more than these: who asks
+without end waits, and is not told at once that there is no answer, for then he would ask again.
+"""
 RECOVERY_S = 0.05
 """How often is looked for what can be asked again, while something is missing."""
 ALL_PAST = 2**14
@@ -83,7 +85,8 @@ class ZenohBus(Bus):
         self._bundle = Bundle.shown_to(connect, credentials, brain)
         self._session = open_client(connect, self._bundle, connect_timeout_s, give_up)
         self._declared: list[Any] = []
-        self._asked: SimpleQueue[tuple[Key, Callable[[], Message | None], zenoh.Query]] = SimpleQueue()
+        self._asked: dict[Key, SimpleQueue[tuple[Callable[[], Message | None], zenoh.Query]]] = {}
+        self._serves_again_s = 0.0
         self._alive: set[str] | None = None
         self._alive_lock = threading.Lock()
         self._followers: list[Follower] = []
@@ -203,12 +206,14 @@ class ZenohBus(Bus):
     def queryable(self, row: Key, handler: Callable[[], Message | None], **parameters: str) -> None:
         """See `Bus.queryable`; the handler runs in `serve`, on the service's own thread."""
 
+        asked = self._asked.setdefault(row, SimpleQueue())
+
         def hand_over(query: zenoh.Query) -> None:
-            if self._asked.qsize() >= ASKED_KEPT:
+            if asked.qsize() >= ASKED_KEPT:
                 self.refusals.drop(row.path, f"{ASKED_KEPT} queries wait; one more is not answered")
                 query.drop()  # type: ignore[no-untyped-call]
                 return
-            self._asked.put((row, handler, query))
+            asked.put((handler, query))
             self._wake.set()
 
         key = row.at(self.brain, **parameters)
@@ -217,19 +222,24 @@ class ZenohBus(Bus):
 
     def serve(self) -> None:
         """See `Bus.serve`."""
-        for _ in range(min(self._asked.qsize(), SERVED_AT_ONCE)):
-            row, handler, query = self._asked.get_nowait()
-            with query, suppress(zenoh.ZError):
-                try:
-                    reply = handler()
-                except Exception as error:
-                    query.reply_err(f"{type(error).__name__}: {error}".encode())
-                    continue
-                if reply is not None:
-                    encoding = codec.encoding_of(type(reply))
-                    query.reply(self._reply_key(row, query.key_expr, reply), codec.encode(reply), encoding=encoding)
-        if not self._asked.empty():
-            self._wake.set()
+        if (now_s := time.monotonic()) < self._serves_again_s:
+            return
+        for row, asked in self._asked.items():
+            if asked.qsize() > SERVED_AT_ONCE:
+                self._serves_again_s = now_s + SERVED_EVERY_S
+            for _ in range(min(asked.qsize(), SERVED_AT_ONCE)):
+                self._answer(row, *asked.get_nowait())
+
+    def _answer(self, row: Key, handler: Callable[[], Message | None], query: zenoh.Query) -> None:
+        with query, suppress(zenoh.ZError):
+            try:
+                reply = handler()
+            except Exception as error:
+                query.reply_err(f"{type(error).__name__}: {error}".encode())
+                return
+            if reply is not None:
+                encoding = codec.encoding_of(type(reply))
+                query.reply(self._reply_key(row, query.key_expr, reply), codec.encode(reply), encoding=encoding)
 
     def _reply_key(self, row: Key, asked: zenoh.KeyExpr, reply: Message) -> str:
         if "*" not in str(asked):
