@@ -26,7 +26,7 @@ BUSY = TEACHER, "nothing"
 """What a flood takes of the processor by itself, which no limit gives back."""
 AFTER_S, MEASURED_S = 5.0, 3.0
 """By then all is as before; the pace is measured in the last part of it."""
-AS_BEFORE = 0.7
+AS_BEFORE = 0.5
 """What of the pace before is as before, on a machine that has other work, too."""
 
 
