@@ -24,12 +24,13 @@ def experiment_path(name: str) -> Path:
     What is there goes before what is shipped. ConfigError, with the nearest shipped one, when there is neither.
     """
     path = Path(name)
-    if path.is_dir():
-        return path / EXPERIMENT_FILE
-    if path.exists():
-        return path
     known = {file.stem: file for file in EXPERIMENTS.glob(f"*{SUFFIX}")}
-    wanted = name.removesuffix(SUFFIX)
+    wanted = name[: -len(SUFFIX)] if name.lower().endswith(SUFFIX) else name
+    # A folder of this name may be of something else, as a paper's text.
+    if path.is_dir() and (wanted not in known or (path / EXPERIMENT_FILE).exists()):
+        return path / EXPERIMENT_FILE
+    if path.exists() and not path.is_dir():
+        return path
     if wanted in known:
         return known[wanted]
     if path.name != name:  # a path: of a file, not of a shipped one

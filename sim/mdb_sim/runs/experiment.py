@@ -16,7 +16,7 @@ from msgspec import Meta
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import ConfigError
 from mdb_services.experiment.brain import BrainConfig, brain_config
-from mdb_services.experiment.reading import convert, read_file
+from mdb_services.experiment.reading import convert, nearest, read_file
 from mdb_services.experiment.sections import Section
 from mdb_sim.bodies.finding import make_body, spec_of
 from mdb_sim.body import Body, BodyError
@@ -89,7 +89,7 @@ class Experiment:
         known = {*BrainConfig.__struct_fields__, *Simulation.__struct_fields__}
         for name in content:
             if name not in known:
-                raise ConfigError(f"{source}: unknown section {name!r}; sections are {', '.join(sorted(known))}")
+                raise ConfigError(f"{source}: unknown section {name!r}{nearest(name, known)}")
         self.content = content
         self.brain = brain_config(content, source)
         simulation = convert(content, Simulation, source)
