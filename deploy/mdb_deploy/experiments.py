@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from mdb_deploy.shipped import shipped
@@ -15,7 +16,7 @@ SUFFIX = ".toml"
 
 def default_experiment() -> str:
     """Return the name of the experiment that nobody names: the one in this folder, else the paper's."""
-    return "." if Path(EXPERIMENT_FILE).exists() else "paper"
+    return "." if os.path.exists(EXPERIMENT_FILE) else "paper"  # in a folder of others there is none, and no error
 
 
 def experiment_path(name: str) -> Path:

@@ -102,7 +102,7 @@ def _whole(error: BaseException) -> str:
         with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)
     except OSError:
-        return f"no file could be written that tells more:\n{trace}"
+        return "no file could be written that tells more" + ("" if isinstance(error, OSError) else f":\n{trace}")
     return f"all of it is in {Path(path)}"
 
 

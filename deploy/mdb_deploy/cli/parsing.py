@@ -41,6 +41,12 @@ class Parser(argparse.ArgumentParser):
         else:
             super()._print_message(message, file)
 
+    def check_first(self, words: list[str]) -> None:
+        """Refuse an option before the command that is none; argparse would say that the command is missing."""
+        known = [option for action in self._actions for option in action.option_strings]
+        if words and words[0].startswith("-") and words[0] not in known:
+            self.refuse(words[:1])
+
     def refuse(self, words: list[str]) -> NoReturn:
         """Say that there are no such options, or that the words are too many."""
         options = [option for action in self._actions for option in action.option_strings]

@@ -18,7 +18,7 @@ from mdb_protocol.errors import ConfigError
 from mdb_services.experiment.brain import BrainConfig, brain_config
 from mdb_services.experiment.reading import convert, nearest, read_file
 from mdb_services.experiment.sections import Section
-from mdb_sim.bodies.finding import make_body, spec_of
+from mdb_sim.bodies.finding import check_window, make_body, spec_of
 from mdb_sim.body import Body, BodyError
 from mdb_sim.robot.course import Rules
 from mdb_sim.robot.service import RobotService
@@ -124,13 +124,15 @@ class Experiment:
             raise ConfigError("the experiment file has no [teacher] section with [[teacher.phase]] entries")
         return schedule_of(self.teacher, self.brain.experiment.seed, self.folder)
 
-    def check_machine(self, *, elsewhere: bool = False) -> None:
+    def check_machine(self, *, elsewhere: bool = False, gui: bool = False) -> None:
         """Raise ConfigError that names each difference between the file and the body that it names.
 
         Imports what the body needs, so it is asked for before a run, not whenever a file is read. A robot `elsewhere`
-        is not known yet; `mdb check-robot` looks at it.
+        is not known yet; `mdb check-robot` looks at it. gui: its window is wanted, so it must have one.
         """
         try:
+            if gui:
+                check_window(self.robot.body, self.folder)
             spec = None if elsewhere else spec_of(self.robot.body, self.robot.options, self.folder)
         except BodyError as error:
             raise ConfigError(f"{self._source}: {error}") from error
