@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from mdb_deploy.shipped import shipped
@@ -15,7 +16,7 @@ SUFFIX = ".toml"
 
 def default_experiment() -> str:
     """Return the name of the experiment that nobody names: the one in this folder, else the paper's."""
-    return "." if Path(EXPERIMENT_FILE).exists() else "paper"
+    return "." if os.path.exists(EXPERIMENT_FILE) else "paper"  # in a folder of others there is none, and no error
 
 
 def experiment_path(name: str) -> Path:
@@ -24,12 +25,13 @@ def experiment_path(name: str) -> Path:
     What is there goes before what is shipped. ConfigError, with the nearest shipped one, when there is neither.
     """
     path = Path(name)
-    if path.is_dir():
-        return path / EXPERIMENT_FILE
-    if path.exists():
-        return path
     known = {file.stem: file for file in EXPERIMENTS.glob(f"*{SUFFIX}")}
-    wanted = name.removesuffix(SUFFIX)
+    wanted = name[: -len(SUFFIX)] if name.lower().endswith(SUFFIX) else name
+    # A folder of this name may be of something else, as a paper's text.
+    if path.is_dir() and (wanted not in known or (path / EXPERIMENT_FILE).exists()):
+        return path / EXPERIMENT_FILE
+    if path.exists() and not path.is_dir():
+        return path
     if wanted in known:
         return known[wanted]
     if path.name != name:  # a path: of a file, not of a shipped one

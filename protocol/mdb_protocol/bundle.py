@@ -150,7 +150,7 @@ def why_refused(endpoint: Endpoint, bundle: Bundle | None) -> str | None:
                     f"{endpoint._replace(protocol='tls')} with --keys"
                 )
             return None if bundle is None else _handshake(link, endpoint, bundle)
-    except socket.gaierror:
+    except (socket.gaierror, ValueError):  # not known; no name that can be (IDNA)
         return f"the host name {endpoint.host} is not known"
     except OSError:
         return None

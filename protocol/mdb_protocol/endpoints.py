@@ -20,9 +20,9 @@ PORT, PORTS = 7447, 65536
 USUAL = f"tcp/127.0.0.1:{PORT}"
 UNUSABLE = re.compile(r"[\s/\[\]@]")
 """What no host has."""
-HOST = re.compile(r"\d+(\.\d+){3}|[0-9a-fA-F]*:[0-9a-fA-F:.%]*:[^:]*|(?!\d+$)[^:\\]+")
+HOST = re.compile(r"[0-9]+(\.[0-9]+){3}|[0-9a-fA-F]*:[0-9a-fA-F:.%]*:[^:]*|(?!\d+$)\w[^:\\]*")
 """What a host that is guessed looks like: IPv4, IPv6, a name."""
-SEPARATOR = re.compile(r"^([a-zA-Z]+)(?:://|:|\\)(?!\d*$)")
+SEPARATOR = re.compile(r"^([a-zA-Z]+)(?::/*|\\)(?!\d*$)")
 """What others write between protocol and host."""
 ENCRYPTED = ("tls", "quic")
 WITHIN = ("unixsock-stream", "unixpipe")
@@ -63,7 +63,7 @@ class Endpoint(NamedTuple):
 def _resolve(host: str) -> list[ipaddress.IPv4Address | ipaddress.IPv6Address]:
     try:
         infos = socket.getaddrinfo(host, None)
-    except OSError:
+    except (OSError, ValueError):  # not known; no name that can be (IDNA)
         return []
     return [ipaddress.ip_address(str(address[0]).partition("%")[0]) for *_, address in infos]
 
@@ -78,10 +78,16 @@ def parse(text: str) -> Endpoint:
     return found
 
 
-def check(text: str) -> None:
-    """Raise BusError when a text is no endpoint, so that nothing waits for what cannot be there."""
-    if text.partition("/")[0] not in WITHIN or not text.partition("/")[2]:
-        parse(text)
+def within(text: str) -> bool:
+    """Whether an endpoint is a file of this machine, without host and port."""
+    protocol, _, path = text.partition("/")
+    return protocol in WITHIN and bool(path)
+
+
+def check(text: str, *, listens: bool = False) -> None:
+    """Raise BusError when a text is no endpoint to connect to, or to listen on: nothing waits for what cannot be."""
+    if not within(text) and parse(text).port == 0 and not listens:
+        raise BusError(f"{text}: port 0, any free one, is for --listen; a run's router.endpoint says which it got")
 
 
 def _parsed(text: str) -> Endpoint | None:
@@ -98,11 +104,12 @@ def _parsed(text: str) -> Endpoint | None:
 
 def _meant(text: str) -> Endpoint | None:
     """Return the endpoint that somebody may have meant who wrote an URL, no protocol, or no port."""
-    protocol, separator, address = SEPARATOR.sub(r"\1/", text.strip(), count=1).partition("/")
+    protocol, separator, address = SEPARATOR.sub(r"\1/", text.strip().rstrip("/"), count=1).partition("/")
     if not separator:
         protocol, address = "tcp", protocol
     protocol = next(iter(difflib.get_close_matches(protocol.lower(), PROTOCOLS, 1)), "tcp")
-    address = address.rstrip("/")
+    host, colon, port = address.rpartition(":")
+    address = host if colon and "]" not in port and ":" not in host and not port.isdigit() else address
     for whole in (address, f"{address}:{PORT}", f"[{address}]:{PORT}", f"127.0.0.1:{address.removeprefix(':')}"):
         found = _parsed(f"{protocol}/{whole}")
         if found is not None and HOST.fullmatch(found.host):

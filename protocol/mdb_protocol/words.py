@@ -7,7 +7,9 @@ module: what prints with markup is to be told not to.
 
 from __future__ import annotations
 
+import difflib
 import unicodedata
+from collections.abc import Iterable
 
 MOST = 4096
 """Characters that are shown of one text."""
@@ -29,6 +31,13 @@ def shown(text: object, most: int = MOST, *, lines: bool = False) -> str:
     else:
         found = "".join(_written(letter, lines) for letter in _without_heaps(cut))
     return found if len(whole) <= most else f"{found}... ({len(whole) - most} more characters)"
+
+
+def close_to(word: str, known: Iterable[str]) -> str | None:
+    """Return the word that may have been meant by one that is not known, also in other capitals; None if none is."""
+    by_small = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(word.lower(), by_small, 1)
+    return by_small[close[0]] if close else None
 
 
 def _written(letter: str, lines: bool) -> str:

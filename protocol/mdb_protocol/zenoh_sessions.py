@@ -74,7 +74,7 @@ def open_client(
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            reason = why_refused(endpoints.parse(connect), bundle)
+            reason = None if endpoints.within(connect) else why_refused(endpoints.parse(connect), bundle)
             if reason is not None and bundle is not None:
                 raise BusError(f"the router at {connect} cannot be used: {reason}") from error
             if time.monotonic() >= deadline or give_up():
@@ -113,7 +113,7 @@ class Router:
         Raises `BusError` when the file is not a config, the endpoint cannot be had, or it can be reached from beyond
         this machine and there are neither keys nor the plain word that it is `open_to_everyone`.
         """
-        endpoints.check(listen or endpoints.USUAL)
+        endpoints.check(listen or endpoints.USUAL, listens=True)
         os.environ.setdefault("ZENOH_RUNTIME", ROUTER_THREADS)
         _give_memory_back()
         try:

@@ -39,11 +39,32 @@ def test_what_only_prints_ends_quietly(tmp_path: Path) -> None:
     assert (status, said) == (141, "")
 
 
+@pytest.mark.edge("pipes and terminals", "mdb up --inline >&- 2>&- <&-: closed streams")
+def test_closed_streams_lead_nowhere(tmp_path: Path) -> None:
+    command = f'exec "{sys.executable}" -m mdb_deploy.cli up --inline {" ".join(SHORT)} <&- >&- 2>&-'
+    assert subprocess.run(["sh", "-c", command], cwd=tmp_path, timeout=BOUND_S, check=False).returncode == 0
+    (log,) = tmp_path.glob("runs/*/run.mcap")
+    assert log.stat().st_size > 0
+
+
+@pytest.mark.edge("errors beyond the expected one", "the working directory was deleted")
+def test_a_deleted_working_directory_is_said(tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    command = f'rmdir ../gone; exec "{sys.executable}" -m mdb_deploy.cli prepare --without-pybullet --run run'
+    done = subprocess.run(
+        ["sh", "-c", command], cwd=gone, capture_output=True, text=True, timeout=BOUND_S, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr == "mdb: the folder that you are in is not there any more; change into another (cd)\n"
+
+
 @pytest.mark.edge("pipes and terminals", "its output on a full disk")
-def test_a_full_disk_is_said(tmp_path: Path) -> None:
+@pytest.mark.parametrize("words", [["keys"], ["up", "--help"], ["--version"]], ids=" ".join)
+def test_a_full_disk_is_said(words: list[str], tmp_path: Path) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [*MDB, "keys"], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=BOUND_S, check=False
+            [*MDB, *words], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=BOUND_S, check=False
         )
     assert done.returncode == 2
     assert "No space left on device" in done.stderr

@@ -20,8 +20,10 @@ def test_it_is_one_line_and_a_file(
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert command_line.main(["plot", "run"]) == 70
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("mdb: an error that nobody expected: ZeroDivisionError: of nobody's making; ")
-    path = re.search(r"all of it is in (\S+): please report it", line)
+    assert line.startswith(
+        "mdb: an error that nobody expected: ZeroDivisionError: of nobody's making; please report it"
+    )
+    path = re.search(r"all of it is in (\S+)$", line)
     assert path is not None
     told = Path(path[1]).read_text()
     assert "Python 3" in told

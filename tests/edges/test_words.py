@@ -15,7 +15,7 @@ from mdb_deploy.experiments import experiment_path
 CASES = tomllib.loads((Path(__file__).parent / "words.toml").read_text(encoding="utf-8"))["kind"]
 SHIPPED = "paper.toml"
 """Stands in the text of a file for that experiment's text; a line's end before it, for all of its lines."""
-STRANGE = {"@long@": "x" * 300}
+LONG = "@long@"
 BOUND_S = 100.0
 
 
@@ -50,7 +50,7 @@ def test_it_holds(case: Mapping[str, Any], tmp_path: Path) -> None:
     folder = tmp_path / "here"
     folder.mkdir()
     lay(folder, case)
-    words = [STRANGE.get(word, word) for word in case["words"]]
+    words = [word.replace(LONG, "x" * 300) for word in case["words"]]
     words += ["--set", case["set"]] if "set" in case else []
     done = subprocess.run(
         [sys.executable, "-m", "mdb_deploy.cli", *words], cwd=folder, env=environment(case), stdin=subprocess.DEVNULL,

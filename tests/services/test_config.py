@@ -94,12 +94,12 @@ def test_overrides_reach_their_place(override: str, path: list[Any], value: Any)
         ("evolution.population", "expected SECTION.NAME=VALUE"),
         ("=3", "expected SECTION.NAME=VALUE"),
         ("evolution..population=3", "expected SECTION.NAME=VALUE"),
-        ("model.objekt.hidden=[1]", "no entry named 'objekt'; there are communication, object, induced"),
+        ("model.objekt.hidden=[1]", "no entry named 'objekt'; did you mean 'object'?"),
         ("model.object=3", "name the entry"),
         ("experiment.name.first=3", "experiment.name is a value, not a section"),
         ("robot.ends.first=3", "is a list of values, not of named entries"),
         ("robot.ends.first.second=3", "is a list of values, not of named entries"),
-        ("choice.left.values=3", "no entry named 'left'; there are ahead, right 20"),
+        ("choice.left.values=3", "no entry named 'left'; did you mean 'left 90'?"),
     ],
 )
 def test_overrides_that_fit_nowhere_say_so(override: str, said: str) -> None:
@@ -167,7 +167,7 @@ def test_any_override_is_taken_or_a_config_error(path: str, value: str) -> None:
         (models(name="communication\n"), "name"),
         (modes(world="comunication"), "no world model 'comunication'; did you mean 'communication'?"),
         (modes(satisfaction="feedbak"), "satisfaction 'feedbak' is neither"),
-        (content(evolution={"population": 0}), "elite is 1"),
+        (content(evolution={"population": 0}), "population is 0; expected 2 or more"),
         (content(evolution={"population": "many"}), "population"),
         (content(memory={"recency": 0.0}), "label weights"),
         (channels(distance={"low": 2.0}), "channels.distance"),

@@ -38,7 +38,7 @@ def test_a_written_experiment_is_read_again_as_it_was(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        (["robto.body=kinematic"], "unknown section 'robto'; sections are"),
+        (["robto.body=kinematic"], "unknown section 'robto'; did you mean 'robot'"),
         (["robot.bdy=kinematic"], "bdy"),
         (["robot.world.arena_m=-1"], "world"),
         (["robot.options=5"], "options"),

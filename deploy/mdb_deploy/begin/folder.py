@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mdb_deploy.experiments import EXPERIMENTS
 from mdb_protocol.errors import MdbError
+from mdb_protocol.words import close_to
 from mdb_services.experiment.brain import EXPERIMENT_FILE
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -38,7 +39,9 @@ def begin(folder: Path, like: str) -> list[Path]:
         files = _ros2(name)
     else:
         kinds = ", ".join((f"{GYMNASIUM}:ENV (as {GYMNASIUM}:CartPole-v1)", *TEMPLATE_KINDS, ROS2))
-        raise MdbError(f"--like {like!r} is no kind of robot; expected one of {kinds}")
+        near = close_to(kind, (GYMNASIUM, *TEMPLATE_KINDS, ROS2))
+        meant = f"; did you mean {near}{like[len(kind) :]}?" if near else ""
+        raise MdbError(f"--like {like!r} is no kind of robot; expected one of {kinds}{meant}")
     there = [file for file in files if (folder / file).exists()]
     if there:
         raise MdbError(f"{folder} has {', '.join(there)} already; give another folder, or move them away")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mdb_deploy.cli.options import Commands, add_experiment, overrides_of
+from mdb_deploy.cli.options import Commands, add_experiment, number, overrides_of
 from mdb_deploy.experiments import experiment_path
 
 CHAOS_EPILOG = """\
@@ -32,14 +32,24 @@ def add(commands: Commands) -> None:
         allow_abbrev=False,
     )
     add_experiment(chaos)
-    chaos.add_argument("--kills", type=int, default=300, help="how many (300)")
+    chaos.add_argument("--kills", type=number(1), default=300, help="how many (300)")
     chaos.add_argument(
-        "--hangs", type=float, default=0.0, metavar="SHARE", help="share of them that hang instead, as 0.3 (0)"
+        "--hangs",
+        type=number(0, 1, float),
+        default=0.0,
+        metavar="SHARE",
+        help="share of them that hang instead, as 0.3 (0)",
     )
     chaos.add_argument("--roles", default="", help="who may die, as in memory,evolver-object (everybody)")
-    chaos.add_argument("--bound", type=float, default=20.0, metavar="SECONDS", help="give up on a recovery (20)")
-    chaos.add_argument("--pause", type=float, default=1.0, metavar="SECONDS", help="to the next kill, at most (1)")
-    chaos.add_argument("--soak", type=float, metavar="MINUTES", help="watch memory, threads and files instead")
+    chaos.add_argument(
+        "--bound", type=number(0.1, kind=float), default=20.0, metavar="SECONDS", help="give up on a recovery (20)"
+    )
+    chaos.add_argument(
+        "--pause", type=number(0, kind=float), default=1.0, metavar="SECONDS", help="to the next kill, at most (1)"
+    )
+    chaos.add_argument(
+        "--soak", type=number(0.1, kind=float), metavar="MINUTES", help="watch memory, threads and files instead"
+    )
     chaos.add_argument("--out", type=Path, default=Path("runs/chaos"), help="where run and report go (runs/chaos)")
     chaos.set_defaults(command=_chaos, goes_on=True)
 

@@ -20,6 +20,8 @@ FAILED, INTERRUPTED, NOBODY_READS = 2, 130, 141
 UNEXPECTED = 70
 """The exit status of an error that nobody expected (EX_SOFTWARE of sysexits.h)."""
 
+ANOTHER_PATH = "give a path that can be read and written"
+
 
 class Unbreakable:
     """A stream that loses what cannot be written.
@@ -68,18 +70,31 @@ def _line(error: BaseException, extra: str) -> tuple[str, int]:
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("mdb_"):
         wanted = f"pip install '{DISTRIBUTION}[{extra}]'"
         return f"this needs {error.name}, which is not installed: {wanted}", FAILED
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}; give a path that can be read and written", FAILED
     if isinstance(error, OSError):
-        return f"the system refused: {error.strerror or error}; {_whole(error)}", FAILED
+        return _refused(error), FAILED
+    if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # of Path.resolve
+        return f"{error}; {ANOTHER_PATH}", FAILED
     if isinstance(error, MemoryError):
         return f"there is not enough memory for this; {_whole(error)}", FAILED
     said = " ".join(str(error).split())
-    return f"an error that nobody expected: {type(error).__name__}: {said[:500]}; {_whole(error)}", UNEXPECTED
+    words = f"an error that nobody expected: {type(error).__name__}: {said[:500]}; please report it{_where()}"
+    return f"{words}; {_whole(error)}", UNEXPECTED
+
+
+def _refused(error: OSError) -> str:
+    """Return what the system refused, and whether that is for the working directory was deleted."""
+    try:
+        os.getcwd()
+    except OSError:
+        if not os.path.isabs(error.filename or ""):
+            return "the folder that you are in is not there any more; change into another (cd)"
+    if error.filename is not None:
+        return f"{error.filename}: {error.strerror}; {ANOTHER_PATH}"
+    return f"the system refused: {error.strerror or error}; {_whole(error)}"
 
 
 def _whole(error: BaseException) -> str:
-    """Write the whole error into a file; return where it is and what to do with it."""
+    """Write the whole error into a file; return where it is."""
     trace = "".join(traceback.format_exception(error))
     text = f"mdb {own_version()}, Python {sys.version}, {platform.platform()}\n{sys.argv}\n\n{trace}"
     try:
@@ -87,8 +102,8 @@ def _whole(error: BaseException) -> str:
         with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)
     except OSError:
-        return f"no file could be written that tells more:\n{trace}"
-    return f"all of it is in {Path(path)}: please report it with this file{_where()}"
+        return "no file could be written that tells more" + ("" if isinstance(error, OSError) else f":\n{trace}")
+    return f"all of it is in {Path(path)}"
 
 
 def _where() -> str:

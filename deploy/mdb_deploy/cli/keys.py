@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mdb_deploy.cli.options import number
+from mdb_deploy.cli.parsing import nearest
 from mdb_protocol.errors import MdbError
 from mdb_protocol.roles import Role
 
@@ -87,7 +89,9 @@ def _add_user(verbs: argparse._SubParsersAction[argparse.ArgumentParser], role: 
     _add_folder(verb)
     if role is not Role.BRAIN:
         verb.add_argument("--brain", help="of which brain; not needed when there is one")
-        verb.add_argument("--days", type=int, default=365, help="how long the certificate is valid (365)")
+        verb.add_argument(
+            "--days", type=number(1, 36500), default=365, help="how long the certificate is valid (365)"
+        )
     verb.set_defaults(command=_add, role=role)
 
 
@@ -127,7 +131,7 @@ def _schema(arguments: argparse.Namespace) -> int:
     elif arguments.message in named:
         found = schema_of(named[arguments.message])
     else:
-        raise MdbError(f"no message {arguments.message!r}; there are {', '.join(named)}")
+        raise MdbError(f"no message {arguments.message!r}{nearest(arguments.message, list(named))}; see 'mdb keys'")
     sys.stdout.write(json.dumps(found, indent=1) + "\n")
     return 0
 

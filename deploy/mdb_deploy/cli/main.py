@@ -76,7 +76,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _arguments(argv: list[str] | None) -> argparse.Namespace:
-    arguments, words = _parser().parse_known_args(argv)
+    parser = _parser()
+    parser.check_first(sys.argv[1:] if argv is None else argv)
+    arguments, words = parser.parse_known_args(argv)
     if words and not getattr(arguments, "takes_words", False):
         arguments.parser.refuse(words)
     arguments.words = words
@@ -88,7 +90,7 @@ def _words_shown(_: object, __: str, event: MutableMapping[str, Any]) -> Mutable
     return {name: shown(value, lines=True) if isinstance(value, str) else value for name, value in event.items()}
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(
         prog="mdb",
         description="A robot learns from a teacher: the Multilevel Darwinist Brain over Eclipse Zenoh.",

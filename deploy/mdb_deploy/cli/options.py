@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,6 +18,22 @@ OPEN_HELP = "listen beyond this machine without keys: everyone there may read al
 def keys_path(text: str) -> Path | None:
     """Return the path that is named; None for an empty word."""
     return Path(text).resolve() if text else None  # compose.yaml gives an empty word for none
+
+
+def number(least: float, most: float = math.inf, kind: type[int] | type[float] = int) -> Callable[[str], float]:
+    """Return how a number is read that has bounds."""
+
+    def read(text: str) -> float:
+        try:
+            found = kind(text)
+        except ValueError:
+            found = kind(least) - 1
+        if not least <= found <= most or not math.isfinite(found):
+            bounds = f"from {least:g} on" if math.isinf(most) else f"from {least:g} to {most:g}"
+            raise argparse.ArgumentTypeError(f"{text!r}: expected a {'whole ' if kind is int else ''}number {bounds}")
+        return found
+
+    return read
 
 
 def add_keys(parser: argparse.ArgumentParser) -> None:
@@ -32,9 +50,11 @@ def add_experiment(parser: argparse.ArgumentParser) -> None:
         help="experiment file, its folder, or the name of a shipped one; else the one in this folder, or paper",
     )
     parser.add_argument("--pace", choices=["concurrent", "lockstep"], help="override the file's pace")
-    parser.add_argument("--seed", type=int, help="override the file's seed")
+    parser.add_argument("--seed", type=number(0), help="override the file's seed")
     parser.add_argument(
-        "--iterations", type=lambda text: int(text) if text else None, help="override the file's number of iterations"
+        "--iterations",
+        type=lambda text: number(1)(text) if text else None,
+        help="override the file's number of iterations",
     )  # compose.yaml gives an empty word for none
     parser.add_argument(
         "--without-pybullet", action="store_true", help="where the file says pybullet, use its kinematic twin"

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import re
+import sys
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from mdb_protocol.words import close_to
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 DISTRIBUTION = "multilevel-darwinist-brain"
 MISTYPED = re.compile(r"invalid choice: '([^']*)'")
@@ -29,6 +34,19 @@ class Parser(argparse.ArgumentParser):
             message = LISTED.sub("", message) + (close or f"; there are {', '.join(choices)}")
         self.exit(2, f"{self.prog}: {message}; see '{self.prog} --help'\n")
 
+    def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
+        """Print; argparse itself says nothing when help or version cannot be written."""
+        if file is sys.stdout:
+            print(message, end="", file=file, flush=True)
+        else:
+            super()._print_message(message, file)
+
+    def check_first(self, words: list[str]) -> None:
+        """Refuse an option before the command that is none; argparse would say that the command is missing."""
+        known = [option for action in self._actions for option in action.option_strings]
+        if words and words[0].startswith("-") and words[0] not in known:
+            self.refuse(words[:1])
+
     def refuse(self, words: list[str]) -> NoReturn:
         """Say that there are no such options, or that the words are too many."""
         options = [option for action in self._actions for option in action.option_strings]
@@ -38,8 +56,8 @@ class Parser(argparse.ArgumentParser):
 
 def nearest(word: str, known: list[str]) -> str:
     """Return what to add to an error about a word: the nearest that is known, if one is near."""
-    close = difflib.get_close_matches(word, known, 1)
-    return f"; did you mean {close[0]}?" if close else ""
+    close = close_to(word, known)
+    return f"; did you mean {close}?" if close else ""
 
 
 def own_version() -> str:

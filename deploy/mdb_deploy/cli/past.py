@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from mdb_deploy.cli.options import Commands
+from mdb_deploy.cli.options import Commands, number
 
 
 def add(commands: Commands) -> None:
@@ -25,7 +25,10 @@ def add(commands: Commands) -> None:
     replay.add_argument("run", type=Path, metavar="RUN", help="run folder")
     replay.add_argument("roles", nargs="*", metavar="ROLE", help="as memory, evolver, evolver/object, robot (all)")
     replay.add_argument(
-        "--tolerance", type=float, default=0.0, help="by which floats may differ: a log of another processor (0)"
+        "--tolerance",
+        type=number(0, kind=float),
+        default=0.0,
+        help="by which floats may differ: a log of another processor (0)",
     )
     replay.set_defaults(command=_replay)
     rescue = commands.add_parser("rescue", help="a new run folder from one whose memory file is damaged")

@@ -48,8 +48,9 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.running.processes import RouterOptions, ServiceOptions, run_router, run_service
+    from mdb_deploy.running.processes import SERVICES, RouterOptions, ServiceOptions, run_router, run_service
     from mdb_deploy.running.unattended import run_unattended
+    from mdb_services.experiment.reading import nearest
     from mdb_services.shell.heartbeat import START_S, Heart
     from mdb_services.shell.service import Stopper
 
@@ -65,6 +66,8 @@ def _run(arguments: argparse.Namespace) -> int:
             RouterOptions(run, arguments.listen, keys, arguments.open_to_everyone, until_finished), stop, heart
         )
         return 0
+    if arguments.service not in SERVICES:
+        raise MdbError(f"no service {arguments.service!r}{nearest(arguments.service, SERVICES)}")
     if run is None:
         raise MdbError(f"mdb run {arguments.service} needs --run FOLDER; 'mdb prepare --run FOLDER' makes one")
     options = ServiceOptions(run, arguments.connect, arguments.model, arguments.gui, keys, until_finished)

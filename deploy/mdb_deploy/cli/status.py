@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mdb_deploy.cli.options import Commands, add_keys
+from mdb_deploy.cli.options import Commands, add_keys, number
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
 
@@ -22,7 +22,12 @@ def add(commands: Commands) -> None:
     health.add_argument("--run", type=Path, help="its run folder, which tells the brain's name")
     status.add_argument("--json", action="store_true", help="one line of JSON a brain, for scripts")
     status.add_argument(
-        "--watch", type=float, nargs="?", const=1.0, metavar="SECONDS", help="again and again (every second)"
+        "--watch",
+        type=number(0.1, 86400, float),
+        nargs="?",
+        const=1.0,
+        metavar="SECONDS",
+        help="again and again (every second)",
     )
     status.set_defaults(command=_status)
     health.set_defaults(command=_health)

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mdb_deploy.cli.options import number
 from mdb_sim.studies.catalogue import ACCEPTANCE, PHASE, REPORTED, STUDIES, Study
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def _add_study(studies: argparse._SubParsersAction[argparse.ArgumentParser], whi
     _add_sweep(parser, which.seeds, OUT)
     parser.add_argument("--only", default="", metavar="NAMES", help="some variants, as in fifo-only,scalar-note")
     if which.own_schedule:
-        parser.add_argument("--phase", type=int, default=PHASE, help=f"iterations of each phase ({PHASE})")
+        parser.add_argument("--phase", type=number(1), default=PHASE, help=f"iterations of each phase ({PHASE})")
     parser.set_defaults(command=_study, study=which, goes_on=True)
 
 
@@ -74,7 +75,7 @@ def _add_sweep(parser: argparse.ArgumentParser, seeds: str | None, out: Path) ->
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="override any setting")
     parser.add_argument("--out", type=Path, default=out, help=f"where results and report go ({out})")
     parser.add_argument(
-        "--workers", type=int, default=2, help="runs at the same time, each in a process; 0: in this one (2)"
+        "--workers", type=number(0), default=2, help="runs at the same time, each in a process; 0: in this one (2)"
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="do the runs on a Dask cluster, as tcp://host:8786")
     parser.add_argument("--keep", action="store_true", help="keep the run folders too, below --out/runs")

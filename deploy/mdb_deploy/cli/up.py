@@ -77,7 +77,7 @@ def _up(arguments: argparse.Namespace) -> int:
     if arguments.no_teacher:
         content.pop("teacher", None)
     experiment = Experiment(content, path)
-    experiment.check_machine(elsewhere=arguments.no_robot)
+    experiment.check_machine(elsewhere=arguments.no_robot, gui=arguments.gui)
     section = experiment.brain.experiment
     listen = arguments.listen or DEFAULT_ENDPOINT
     if arguments.connect:

@@ -9,10 +9,16 @@ from rich.text import Text
 
 from mdb_protocol.words import shown
 
+NARROWEST = 40
+"""Columns at the least: with COLUMNS=1 of a shell without a screen each letter would have its line."""
+
 
 def console_of(stream: TextIO) -> Console:
     """Return a console that takes what it is given as it is: `[red]` and `:smile:` are written so."""
-    return Console(file=stream, markup=False, emoji=False)
+    console = Console(file=stream, markup=False, emoji=False)
+    if console.width < NARROWEST:  # noqa: PLR1730 - a width that is set does not follow the window
+        console.width = NARROWEST
+    return console
 
 
 def plain(text: object) -> Text:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, as_completed
@@ -132,6 +133,9 @@ def run(tasks: Sequence[Task], sweep: Sweep, console: Console | None = None) -> 
     results.need_pyarrow()
     console = console or console_of(sys.stderr)
     missing = _missing(tasks, sweep)
+    sweep.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=sweep.out):
+        pass  # it can be written: to be known before minutes of runs
     outcome = Outcome(there=len(tasks) - len(missing))
     if outcome.there:
         console.print(f"{outcome.there} of {len(tasks)} runs are already there", soft_wrap=True)

@@ -5,7 +5,6 @@ Owns the words in which a mistake is told. Knows no section.
 
 from __future__ import annotations
 
-import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -17,10 +16,13 @@ from msgspec import inspect
 
 from mdb_protocol import files
 from mdb_protocol.errors import ConfigError, DamageError
+from mdb_protocol.words import close_to
 
 T = TypeVar("T")
 UNLISTED = re.compile(r"Invalid enum value '(.*)' - at `\$(.*)`", re.DOTALL)
 """What msgspec says of a word that is none of a list: the word, and where."""
+UNKNOWN = re.compile(r"Object contains unknown field `(.*?)`(?: - at `\$(.*)`)?", re.DOTALL)
+"""What msgspec says of a name that is none of a section's: the name, and where."""
 
 MOST_BYTES = 2**20
 """Of an experiment file; those that are shipped have 3 to 9 kB."""
@@ -56,6 +58,8 @@ def _parsed(text: str) -> dict[str, Any]:
         heads = (line for line in piece.splitlines() if line.lstrip().startswith("["))
         if max(part.count(".") for part in (key, *heads)) > MOST_NAMES:
             raise ValueError(f"a key of more than {MOST_NAMES} names")
+    if "\0" in text:
+        raise ValueError("it has bytes 0, as text in UTF-16 has; save it as UTF-8")
     return tomllib.loads(text)
 
 
@@ -106,19 +110,23 @@ def _by_name(entries: list[Any], name: str, override: str) -> Any:
         if entry.get("name") == name:
             return entry
     names = [str(entry.get("name")) for entry in entries]
-    raise ConfigError(f"--set {override!r}: no entry named {name!r}; there are {', '.join(names)}")
+    raise ConfigError(f"--set {override!r}: no entry named {name!r}{nearest(name, names)}")
 
 
 def _choices(cls: type[Any], said: str) -> str:
-    """Return what to add to msgspec's word that a value is none of those listed: the nearest, or the list."""
-    found = UNLISTED.fullmatch(said)
+    """Return what to add to msgspec's word that a value or a name is none of those that there are."""
+    found = UNLISTED.fullmatch(said) or UNKNOWN.fullmatch(said)
     if found is None:
         return ""
     kinds = [inspect.type_info(cls)]
-    for name in re.findall(r"\w+|\[", found[2]):
+    for name in re.findall(r"[^\W\d]\w*|\[", found[2] or ""):  # as in `.model[1].hidden`, `.feature[...]`
         kinds = [inner for kind in kinds for inner in _within(kind, name)]
-    values = [value for kind in kinds for part in _parts(kind) for value in getattr(part, "values", ())]
-    return nearest(found[1], map(str, values)) if values else ""
+    parts = [part for kind in kinds for part in _parts(kind)]
+    if found.re is UNKNOWN:
+        values = [field.encode_name for part in parts for field in getattr(part, "fields", ())]
+    else:
+        values = [str(value) for part in parts for value in getattr(part, "values", ())]
+    return nearest(found[1], values) if values else ""
 
 
 def _parts(kind: inspect.Type) -> tuple[inspect.Type, ...]:
@@ -141,5 +149,5 @@ def _within(kind: inspect.Type, name: str) -> list[inspect.Type]:
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return what to add to an error about a name that is not known: the nearest one, or all that there are."""
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, 1)
-    return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(names)}"
+    close = close_to(name, names)
+    return f"; did you mean {close!r}?" if close else f"; there are {', '.join(names)}"

@@ -49,6 +49,7 @@ class EvolutionConfig:
     """Share of hidden units expressed at the beginning."""
 
     def __post_init__(self) -> None:
+        at_least(self, population=2)
         if not 0 < self.elite < self.population:
             raise ValueError(f"elite is {self.elite}; expected 1 to {self.population - 1}, fewer than population")
         at_least(self, generations=1)

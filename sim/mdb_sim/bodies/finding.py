@@ -39,8 +39,8 @@ def make_body(name: str, options: Mapping[str, Any], folder: Path | None = None,
     what the factory gives does not keep the contract.
     """
     factory = find(name, folder, "body", BODIES)
-    if gui and not getattr(factory, "has_window", False):
-        raise BodyError(f"body={name!r} has no window; drop the gui option")
+    if gui:
+        check_window(name, folder)
     try:
         body = factory(**options, gui=True) if gui else factory(**options)
     except TypeError as error:
@@ -48,6 +48,12 @@ def make_body(name: str, options: Mapping[str, Any], folder: Path | None = None,
     check_members(body, MEMBERS, f"body={name!r}", "mdb_sim.body.Body")
     made: Body = body
     return made
+
+
+def check_window(name: str, folder: Path | None = None) -> None:
+    """Raise BodyError when a body has no window: its class says `has_window = True` if it has."""
+    if not getattr(find(name, folder, "body", BODIES), "has_window", False):
+        raise BodyError(f"body={name!r} has no window; leave --gui out")
 
 
 def is_simulated(name: str, folder: Path | None = None) -> bool:

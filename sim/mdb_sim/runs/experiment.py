@@ -16,9 +16,9 @@ from msgspec import Meta
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import ConfigError
 from mdb_services.experiment.brain import BrainConfig, brain_config
-from mdb_services.experiment.reading import convert, read_file
+from mdb_services.experiment.reading import convert, nearest, read_file
 from mdb_services.experiment.sections import Section
-from mdb_sim.bodies.finding import make_body, spec_of
+from mdb_sim.bodies.finding import check_window, make_body, spec_of
 from mdb_sim.body import Body, BodyError
 from mdb_sim.robot.course import Rules
 from mdb_sim.robot.service import RobotService
@@ -89,7 +89,7 @@ class Experiment:
         known = {*BrainConfig.__struct_fields__, *Simulation.__struct_fields__}
         for name in content:
             if name not in known:
-                raise ConfigError(f"{source}: unknown section {name!r}; sections are {', '.join(sorted(known))}")
+                raise ConfigError(f"{source}: unknown section {name!r}{nearest(name, known)}")
         self.content = content
         self.brain = brain_config(content, source)
         simulation = convert(content, Simulation, source)
@@ -124,13 +124,15 @@ class Experiment:
             raise ConfigError("the experiment file has no [teacher] section with [[teacher.phase]] entries")
         return schedule_of(self.teacher, self.brain.experiment.seed, self.folder)
 
-    def check_machine(self, *, elsewhere: bool = False) -> None:
+    def check_machine(self, *, elsewhere: bool = False, gui: bool = False) -> None:
         """Raise ConfigError that names each difference between the file and the body that it names.
 
         Imports what the body needs, so it is asked for before a run, not whenever a file is read. A robot `elsewhere`
-        is not known yet; `mdb check-robot` looks at it.
+        is not known yet; `mdb check-robot` looks at it. gui: its window is wanted, so it must have one.
         """
         try:
+            if gui:
+                check_window(self.robot.body, self.folder)
             spec = None if elsewhere else spec_of(self.robot.body, self.robot.options, self.folder)
         except BodyError as error:
             raise ConfigError(f"{self._source}: {error}") from error
