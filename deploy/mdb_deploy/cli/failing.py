@@ -63,7 +63,7 @@ def told(error: BaseException, extra: str) -> int:
 
 
 def _line(error: BaseException, extra: str) -> tuple[str, int]:
-    if isinstance(error, MdbError):
+    if isinstance(error, MdbError) or str(error).startswith("Symlink loop"):  # of `Path.resolve`
         return str(error), FAILED
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("mdb_"):
         wanted = f"pip install '{DISTRIBUTION}[{extra}]'"
