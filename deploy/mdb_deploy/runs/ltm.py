@@ -138,7 +138,10 @@ def bring(source: Path, names: Sequence[str], run: Path) -> int:
     for model in models:
         _check_fits(model, experiment)
     with MemoryFile(run / MEMORY_FILE) as file:
-        used = [(model.model, model.id) for model in file.long_term()]
+        try:
+            used = [(model.model, model.id) for model in file.long_term()]
+        except (sqlite3.Error, DecodeError, TypeError) as error:
+            raise file.unusable(error) from error
         brought = []
         for model in models:
             free = 1 + max((id for name, id in used if name == model.model), default=0)
