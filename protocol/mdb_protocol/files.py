@@ -55,6 +55,19 @@ def opened(path: Path, most: int | None = MOST_BYTES) -> Iterator[BinaryIO]:
         yield file
 
 
+def lock_file(path: Path) -> BinaryIO:
+    """Open a file to be locked, and make it if it is not there; its content is left as it is.
+
+    Raises OSError when it cannot be made or is a link, DamageError when it is no ordinary file.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_NOCTTY | os.O_NOFOLLOW | os.O_CLOEXEC
+    descriptor = os.open(path, flags, 0o666)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise DamageError(f"{path} is no ordinary file; expected one to be locked: move it away")
+    return os.fdopen(descriptor, "r+b")
+
+
 def content(path: Path, most: int = MOST_BYTES) -> bytes:
     """Return the whole content of a file; raises as `opened` does."""
     with opened(path, most) as file:

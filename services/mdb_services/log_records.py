@@ -11,6 +11,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
+from itertools import count
 from typing import BinaryIO, NamedTuple
 
 import lz4.frame
@@ -30,7 +31,10 @@ MOST_CHUNK = 24 * 2**20
 """Bytes that a chunk may unpack to; the tools of MCAP make chunks of 1 to 4 MB."""
 MOST_UNPACKED = 50
 """So many times the size of the file is unpacked of it, and no more; a run log packs to a seventh."""
-MOST_CHANNELS = 65_536
+MOST_CHANNELS = 8 * 2**20
+"""Bytes of all that a file says of its channels; a run log has 10 kB."""
+MOST_PASSED = 1_000_000
+"""Records of a file that are passed over; a recorder writes some for each chunk."""
 DAMAGE = (
     DamageError, McapError, EOFError, OSError, struct.error, ValueError, LookupError, OverflowError, MemoryError,
     RuntimeError, zlib.error, zstandard.ZstdError,
@@ -52,22 +56,28 @@ def messages_of(file: BinaryIO) -> Iterator[Sample]:
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise DamageError("it is no MCAP file")
     channels: dict[int, Channel] = {}
+    told = 0
     left = MOST_UNPACKED * max(os.fstat(file.fileno()).st_size, MOST_CHUNK // MOST_UNPACKED)
-    for opcode, content in _records(file):
+    passed = count()
+    for opcode, content in _records(file, passed):
         if opcode == Opcode.CHUNK:
             unpacked = _unpacked(Chunk.read(ReadDataStream(io.BytesIO(content))))
             left -= len(unpacked)
             if left < 0:
                 raise DamageError(f"its chunks unpack to more than {MOST_UNPACKED} times its size")
-            for inner, part in _records(io.BytesIO(unpacked)):
-                yield from _message(inner, part, channels)
+            parts = _records(io.BytesIO(unpacked), passed)
         else:
-            yield from _message(opcode, content, channels)
-            if opcode == Opcode.FOOTER:
-                return
+            parts = iter([(opcode, content)])
+        for inner, part in parts:
+            told += len(part) if inner == Opcode.CHANNEL else 0
+            if told > MOST_CHANNELS:
+                raise DamageError(f"what it says of its channels is more than {size(MOST_CHANNELS)}")
+            yield from _message(inner, part, channels)
+        if opcode == Opcode.FOOTER:
+            return
 
 
-def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+def _records(file: BinaryIO, passed: Iterator[int]) -> Iterator[tuple[int, bytes]]:
     """Yield the records that matter, each with its content; the others are passed over unread."""
     while len(head := file.read(9)) == 9:
         opcode, length = struct.unpack("<BQ", head)
@@ -75,6 +85,8 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
             raise DamageError("there are zeros where a record should begin")
         if opcode not in (Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.FOOTER):
             file.seek(length, os.SEEK_CUR)
+            if next(passed) > MOST_PASSED:
+                raise DamageError(f"more than {MOST_PASSED} of its records mean nothing")
             continue
         if length > MOST_RECORD:
             raise DamageError(f"a record of {size(length)}; at most {size(MOST_RECORD)} are read")
@@ -89,7 +101,7 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 def _message(opcode: int, content: bytes, channels: dict[int, Channel]) -> Iterator[Sample]:
     """Yield the message of a record, if it is one; remember a channel."""
     stream = ReadDataStream(io.BytesIO(content))
-    if opcode == Opcode.CHANNEL and len(channels) < MOST_CHANNELS:
+    if opcode == Opcode.CHANNEL:
         channel = Channel.read(stream)
         channels[channel.id] = channel
     elif opcode == Opcode.MESSAGE:

@@ -257,15 +257,17 @@ def read_log(run: Path, brain: str | None = None) -> Iterator[Recorded]:
     segments = segments_of(run)
     if not segments:
         raise MdbError(f"no run log ({LOG_PATTERN}) in {run}; give the folder that 'mdb up' named at its end")
-    empty, reasons = True, list[str]()
+    empty, reasons = True, dict[Path, str]()
     for segment in segments:
         for recorded in _read_segment(segment, brain, reasons):
             empty = False
             yield recorded
     if empty:
         whose = "" if brain is None else f" of brain {brain}"
-        why = "; ".join(reasons[:1]) or "it is empty, or another's"
+        why = next(iter(reasons.values()), "it is empty, or another's")
         raise EmptyLogError(f"no message{whose} can be read of the run log in {run}: {why}")
+    for path, reason in reasons.items():
+        log.info("log ends early", path=str(path), reason=reason)
 
 
 def segments_of(run: Path) -> list[Path]:
@@ -273,7 +275,7 @@ def segments_of(run: Path) -> list[Path]:
     return sorted(run.glob(LOG_PATTERN), key=lambda path: (len(path.name), path.name))
 
 
-def _read_segment(path: Path, brain: str | None, reasons: list[str]) -> Iterator[Recorded]:
+def _read_segment(path: Path, brain: str | None, reasons: dict[Path, str]) -> Iterator[Recorded]:
     """Yield the messages of a segment; why it ends early, if it does, is added to `reasons`."""
     rows: dict[str, tuple[str, Key | None]] = {}
     strange = 0
@@ -298,5 +300,4 @@ def _read_segment(path: Path, brain: str | None, reasons: list[str]) -> Iterator
                     continue
                 strange -= 2
         except log_records.DAMAGE as error:
-            reasons.append(str(error) or type(error).__name__)
-            log.info("log ends early", path=str(path), reason=reasons[-1])
+            reasons[path] = str(error) or type(error).__name__

@@ -1,5 +1,6 @@
 """What is done to a memory file on purpose, a witness of its run notices: each damage is named, none passes."""
 
+import os
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -95,6 +96,36 @@ def _drop(folder: Path) -> None:
         db.execute("DROP TABLE long_term")
 
 
+def _other_model(folder: Path) -> None:
+    """Another current model, as well-formed as any."""
+    with sqlite3.connect(folder / "memory.sqlite") as db:
+        (payload,) = db.execute("SELECT payload FROM model").fetchone()
+        model = codec.decode(messages.CurrentModel, payload, codec.encoding_of(messages.CurrentModel))
+        changed = msgspec.structs.replace(model, weights=model.weights + 1)
+        db.execute("UPDATE model SET payload = ?", (codec.encode(changed),))
+
+
+def _other_step(folder: Path) -> None:
+    """Another pair in what evolvers are told of the last change."""
+    with sqlite3.connect(folder / "memory.sqlite") as db:
+        version, payload = db.execute("SELECT version, payload FROM step ORDER BY version DESC").fetchone()
+        change = codec.decode(messages.MemoryChange, payload, codec.encoding_of(messages.MemoryChange))
+        changed = msgspec.structs.replace(change, pairs=change.pairs - 1)
+        db.execute("UPDATE step SET payload = ? WHERE version = ?", (codec.encode(changed), version))
+
+
+def _kept(folder: Path, keep: Callable[[int, str], bool]) -> None:
+    """Leave of what the witness wrote these lines."""
+    path = folder / "witness.jsonl"
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for i, line in enumerate(lines) if keep(i, line)))
+
+
+def _piped(folder: Path) -> None:
+    (folder / "witness.jsonl").unlink()
+    os.mkfifo(folder / "witness.jsonl")
+
+
 DAMAGES: dict[str, Callable[[Path], object]] = {
     "a pair is deleted": sql("DELETE FROM pair WHERE iteration = 30"),
     "the last pair is deleted": sql(f"DELETE FROM pair WHERE iteration = {PAIRS - 1}"),
@@ -127,12 +158,24 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
         "DELETE FROM step WHERE version = (SELECT max(version) - 3 FROM step)"
     ),
     "the current model is deleted": sql("DELETE FROM model"),
+    "the current model is another": _other_model,
+    "what an evolver is told of a change is another": _other_step,
+    "a seed is garbage": sql("UPDATE seed SET payload = x'00'"),
+    "seeds are in other places": sql("UPDATE seed SET place = place + 7"),
+    "a pair has a word as its note": sql("UPDATE pair SET note = 'x' WHERE iteration = 30"),
     "a table is gone": _drop,
     "half of the file is gone": _cut,
     "the file is gone": lambda folder: (folder / "memory.sqlite").unlink(),
     "the witness has heard nothing": lambda folder: (folder / "witness.jsonl").write_text(""),
     "what the witness wrote is gone": lambda folder: (folder / "witness.jsonl").unlink(),
     "what the witness wrote is something else": lambda folder: (folder / "witness.jsonl").write_text("{}\n"),
+    "what the witness wrote is a pipe": _piped,
+    "half of what the witness wrote is gone": lambda folder: _kept(folder, lambda i, _: i < PAIRS),
+    "the witness has heard no pairs": lambda folder: _kept(folder, lambda _, line: '{"key": "pair"' not in line),
+    "the witness has heard of one pair": lambda folder: _kept(folder, lambda i, _: i < 2),
+    "an acknowledgement that the witness wrote is cut": lambda folder: (folder / "witness.jsonl").write_text(
+        '{"key": "pair/stored", "says": {"iteration": 1}}\n'
+    ),
     "another run's memory": lambda folder: MemoryFile(_removed(folder)).close(),
 }
 

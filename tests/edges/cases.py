@@ -55,6 +55,6 @@ KINDS = (
     Kind("memory file of which models are asked", "RUN/memory.sqlite", LTM, databases.MODELS),
     Kind("run log", "RUN/run.mcap", LOG, NO_FILES | NONSENSE | logs.INPUTS, logs.WELL_FORMED),
     Kind("experiment file", "RUN/experiment.toml", EXPERIMENT, NO_FILES | NONSENSE | plain.EXPERIMENTS),
-    Kind("exported models", "FILE", MODELS, NO_FILES | NONSENSE | databases.EXPORTS),
+    Kind("exported models", "FILE", MODELS, NO_FILES | NONSENSE | databases.EXPORTS, databases.WELL_FORMED),
     Kind("result of a study", "RESULTS/memory/a/seed1.parquet", RESULTS, NO_FILES | NONSENSE | plain.RESULTS),
 )

@@ -57,6 +57,27 @@ def _a_log_that_is_a_pipe(path: Path) -> None:
     os.mkfifo(path.with_name(f"{path.name}-wal"))
 
 
+def _tables_without_end(path: Path) -> None:
+    """More tables than SQLite can put in order soon."""
+    sql("CREATE TABLE t (a)")(path)
+    with closing(sqlite3.connect(path, isolation_level=None)) as db:
+        (root,) = db.execute("SELECT rootpage FROM sqlite_schema WHERE name = 't'").fetchone()
+        db.execute("PRAGMA writable_schema=ON")
+        db.execute("BEGIN")
+        rows = ((f"u{i}", root, f"CREATE TABLE u{i}(a)") for i in range(100_000))
+        db.executemany("INSERT INTO sqlite_schema VALUES ('table', ?1, ?1, ?2, ?3)", rows)
+        db.execute("COMMIT")
+
+
+def _models_without_end(path: Path) -> None:
+    sql()(path)
+    payload = msgpack.packb(plain_model())
+    with closing(sqlite3.connect(path, isolation_level=None)) as db:
+        db.execute("BEGIN")
+        db.executemany("INSERT INTO long_term VALUES ('object', ?, ?)", ((i, payload) for i in range(50_000)))
+        db.execute("COMMIT")
+
+
 def _cut(path: Path) -> None:
     sql("INSERT INTO recalled VALUES (1, zeroblob(100000))")(path)
     path.write_bytes(path.read_bytes()[:20_000])
@@ -93,6 +114,13 @@ INPUTS: dict[str, Callable[[Path], object]] = {
     "pages that name one another": _pages_in_a_ring,
     "one value of 40 MB": sql("INSERT INTO long_term VALUES ('object', 1, zeroblob(40000000))"),
     "models that are words": sql("INSERT INTO long_term VALUES ('object', 1, 'a word')"),
+    "texts that are no text": sql("INSERT INTO long_term VALUES ('object', 1, CAST(x'ffff' AS TEXT))"),
+    "30 MB that are put in order": sql(
+        "DROP TABLE long_term",
+        "CREATE TABLE long_term (model TEXT, id INTEGER, payload BLOB)",
+        "INSERT INTO long_term VALUES ('object', 1, zeroblob(31000000)), ('object', 2, x'00')",
+    ),
+    "100000 tables": _tables_without_end,
     "a write-ahead log that is a pipe": _a_log_that_is_a_pipe,
     "cut within a page": _cut,
     "another program's tables": _foreign,
@@ -143,7 +171,9 @@ def _exported(content: Any) -> Callable[[Path], object]:
     return lambda path: path.write_bytes(head + payload)
 
 
-MODELS = {name: _in_memory(fields) for name, fields in STRANGE.items()}
+MODELS: dict[str, Callable[[Path], object]] = {"50000 models": _models_without_end} | {
+    name: _in_memory(fields) for name, fields in STRANGE.items()
+}
 EXPORTS: dict[str, Callable[[Path], object]] = {
     **{name: _exported({"models": [plain_model(**fields)]}) for name, fields in STRANGE.items()},
     "a million lists": _exported(b"\x81\xa6models" + b"\xdc\x27\x10" + (b"\xdc\x03\xe8" + b"\x90" * 1000) * 10_000),
@@ -154,3 +184,4 @@ EXPORTS: dict[str, Callable[[Path], object]] = {
     "a network that reads something else": _exported({"models": [plain_model(reads={"x": "scalar"})]}),
     "of another version": lambda path: path.write_bytes(b"application/msgpack;mdb=9;LongTermFile\n\x81"),
 }
+WELL_FORMED = frozenset({"a network that reads something else"})

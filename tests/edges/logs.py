@@ -131,6 +131,32 @@ def _other_names(path: Path) -> None:
     written(say, CompressionType.ZSTD)(path)
 
 
+def _told_without_end(path: Path) -> None:
+    """10 GB of channels, in some 10 MB."""
+    names = _words("encoding") + _words("y" * 100_000)
+    parts = [
+        struct.pack("<HH", i, 0) + _words(str(i)) + _words("json") + struct.pack("<I", len(names)) + names
+        for i in range(200)
+    ]
+    inner = b"".join(_record(Opcode.CHANNEL, part) for part in parts)
+    packed = zstandard.ZstdCompressor().compress(inner)
+    room = _record(0x80, bytes(10 * 2**20))
+    _raw(room, *[_chunk(packed, "zstd", len(inner))] * 500)(path)
+
+
+def _nothing_in_millions(path: Path) -> None:
+    nothing = _record(0x80, b"") * 2_000_000
+    packed = zstandard.ZstdCompressor().compress(nothing)
+    _raw(_record(0x80, bytes(4 * 2**20)), *[_chunk(packed, "zstd", len(nothing))] * 5)(path)
+
+
+def _chunks_in_chunks(path: Path) -> None:
+    inner = _record(0x80, bytes(1000))
+    for _ in range(50):
+        inner = _chunk(zstandard.ZstdCompressor().compress(inner), "zstd", len(inner))
+    _raw(inner)(path)
+
+
 INPUTS: dict[str, Callable[[Path], object]] = {
     "a gigabyte in 32 kB, zstd": _zstd_bomb,
     "a gigabyte, lz4": _lz4_bomb,
@@ -146,6 +172,9 @@ INPUTS: dict[str, Callable[[Path], object]] = {
     "a channel whose names are cut": _raw(_record(Opcode.CHANNEL, struct.pack("<HHI", 1, 0, 2**31))),
     "a head and nothing more": _raw(),
     "300000 messages that are none": _junk,
+    "channels of 10 GB": _told_without_end,
+    "ten million records of nothing": _nothing_in_millions,
+    "chunks in chunks": _chunks_in_chunks,
     "another brain's": written(lambda put: put("mdb/other/iteration", _report(1))),
     "another program's": written(lambda put: put("/camera/image", _report(1))),
     "an iteration of 9e15": written(lambda put: put(f"mdb/{BRAIN}/iteration", _report(2**53))),

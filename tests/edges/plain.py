@@ -89,10 +89,36 @@ LABEL = (
     b'{"study": "memory", "variant": "a", "order": 0, "seed": 1, "body": "kinematic", "fingerprint": "x", '
     b'"code": "y", "overrides": []}'
 )
+
+
+def _lying(path: Path) -> None:
+    """A column of 300 MB in 10 kB, of which the file says that it unpacks to a byte."""
+    from pyarrow import parquet
+
+    _parquet({"a": [bytes(300_000_000)]}, {b"mdb": LABEL})(path)
+    with parquet.ParquetFile(path) as file:
+        said = _number(file.metadata.row_group(0).total_byte_size)
+    one = bytes([0x82, *[0x80] * (len(said) - 2), 0])  # as long, so that all else stays where it is
+    content = path.read_bytes()
+    start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    assert said in content[start:]
+    path.write_bytes(content[:start] + content[start:].replace(said, one))
+
+
+def _number(value: int) -> bytes:
+    """Return a number as Parquet's footer has it: doubled, in parts of seven bits."""
+    left, parts = 2 * value, []
+    while left > 0x7F:
+        parts.append(left & 0x7F | 0x80)
+        left >>= 7
+    return bytes([*parts, left])
+
+
 RESULTS: dict[str, Callable[[Path], object]] = {
     "Parquet of somebody else": _parquet({"a": [1, 2, 3]}, {}),
     "a label and no phases": _parquet({"a": []}, {b"mdb": LABEL}),
     "columns of somebody else": _parquet({"a": [1, 2, 3]}, {b"mdb": LABEL}),
     "a label that is a list": _parquet({"a": [1]}, {b"mdb": b"[1]"}),
+    "a column of 300 MB that says it is a byte": _lying,
     "ten million rows": _parquet({"a": [7] * 10_000_000}, {b"mdb": LABEL}),
 }

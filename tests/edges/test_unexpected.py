@@ -43,3 +43,12 @@ def test_what_the_system_refuses(
     assert capsys.readouterr().err.startswith(
         "mdb: the system refused: Too many open files; no file could be written"
     )
+
+
+@pytest.mark.edge("what is no file", "a link to itself as a folder")
+@pytest.mark.parametrize("words", [["plot"], ["export"], ["status", "--keys"]])
+def test_a_link_to_itself_is_told(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    assert command_line.main([*words, str(loop)]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1

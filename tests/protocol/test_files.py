@@ -64,3 +64,19 @@ def test_words_are_shown_as_what_they_are(text: object, seen: str) -> None:
 def test_long_words_are_cut_and_lines_stay_where_they_are_wanted() -> None:
     assert shown("x" * (MOST + 5)) == "x" * MOST + "... (5 more characters)"
     assert shown("one\ntwo\x1b", lines=True) == "one\ntwo\\x1b"
+
+
+def test_a_lock_is_made_and_kept_and_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    for _ in range(2):
+        files.lock_file(path).close()
+    path.write_text("kept")
+    files.lock_file(path).close()
+    assert path.read_text() == "kept"
+    link, pipe = tmp_path / "link", tmp_path / "pipe"
+    link.symlink_to(path)
+    os.mkfifo(pipe)
+    with pytest.raises(OSError, match="symbolic links"):
+        files.lock_file(link)
+    with pytest.raises(DamageError, match="no ordinary file"):
+        files.lock_file(pipe)

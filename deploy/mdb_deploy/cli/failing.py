@@ -65,6 +65,8 @@ def told(error: BaseException, extra: str) -> int:
 
 
 def _line(error: BaseException, extra: str) -> tuple[str, int]:
+    if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # of `Path.resolve`
+        error = MdbError(f"{error}: a link to itself; give a path that can be read")
     if isinstance(error, MdbError):
         return str(error), FAILED
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("mdb_"):

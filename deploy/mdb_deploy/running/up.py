@@ -20,7 +20,7 @@ from mdb_deploy.running.processes import ENDPOINT_FILE
 from mdb_deploy.running.progress import Progress
 from mdb_deploy.running.runner import Runner, StartError
 from mdb_deploy.running.watch import JOIN_S, Watch
-from mdb_protocol import endpoints
+from mdb_protocol import endpoints, files
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import MdbError
 from mdb_protocol.holding import hold
@@ -116,7 +116,7 @@ def up_processes(experiment: Experiment, options: UpOptions, progress: Progress)
 @contextlib.contextmanager
 def _alone_in(run: Path) -> Iterator[None]:
     """Hold the run folder; MdbError when another `mdb up` does. The lock ends with its process, however it ends."""
-    with (run / LOCK_FILE).open("w") as lock:
+    with files.lock_file(run / LOCK_FILE) as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -28,6 +28,9 @@ from mdb_sim.runs.experiment import Experiment
 
 log = structlog.get_logger()
 
+MOST_MODELS = 10_000
+MOST_BYTES = codec.MAX_BYTES
+"""Of a long-term memory that is read; the largest experiment keeps some hundred models."""
 MOST_CELL = 200
 """Characters of a cell of a table."""
 MOST_HEAD = 1024
@@ -75,8 +78,16 @@ def _long_term(path: Path) -> list[LongTermModel]:
     encoding = codec.encoding_of(LongTermModel)
     try:
         with opened(path) as file:
-            rows = file.rows("SELECT payload FROM long_term ORDER BY model, id")
-            return [codec.decode(LongTermModel, _bytes(payload), encoding) for (payload,) in rows]
+            rows = file.rows("SELECT payload FROM long_term ORDER BY model, id LIMIT ?", MOST_MODELS + 1)
+            found, left = list[LongTermModel](), MOST_BYTES
+            for (payload,) in rows:
+                left -= len(_bytes(payload))
+                if left < 0 or len(found) == MOST_MODELS:
+                    raise MdbError(
+                        f"{path} has more models than are read: {MOST_MODELS}, {files.size(MOST_BYTES)} at the most"
+                    )
+                found.append(codec.decode(LongTermModel, payload, encoding))
+            return found
     except (sqlite3.Error, DecodeError) as error:
         raise DamageError(f"{path} is not a memory of a brain, or is damaged: {error}") from error
 
@@ -127,7 +138,10 @@ def bring(source: Path, names: Sequence[str], run: Path) -> int:
     for model in models:
         _check_fits(model, experiment)
     with MemoryFile(run / MEMORY_FILE) as file:
-        used = [(model.model, model.id) for model in file.long_term()]
+        try:
+            used = [(model.model, model.id) for model in file.long_term()]
+        except (sqlite3.Error, DecodeError, TypeError) as error:
+            raise file.unusable(error) from error
         brought = []
         for model in models:
             free = 1 + max((id for name, id in used if name == model.model), default=0)

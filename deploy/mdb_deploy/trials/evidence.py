@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from mdb_protocol import codec, keys, messages
+from mdb_deploy.trials.witness import digest_of
+from mdb_protocol import codec, files, keys, messages
 from mdb_protocol.errors import DamageError, DecodeError, MdbError
 from mdb_protocol.messages import Message
 from mdb_services.memory.file import STEPS_KEPT
@@ -25,6 +26,8 @@ M = TypeVar("M", bound=Message)
 
 SOON = 50
 """After so many acknowledgements more, a model that was heard of is on disk."""
+ENOUGH = 0.5
+"""The part of all pairs that a witness has heard, at least: routers that are killed keep a few from it."""
 ENTERED_TWICE = "SELECT pair FROM change WHERE pair >= 0 GROUP BY model, pair HAVING count(*) > 1"
 
 
@@ -65,6 +68,8 @@ class Heard:
     events: list[Plain] = field(default_factory=list)
     models: dict[str, int] = field(default_factory=dict)
     """Acknowledgements before a current model of each name was heard first."""
+    digests: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
+    """Of the current models of each name."""
     acknowledgements: int = 0
 
     @classmethod
@@ -91,15 +96,16 @@ class Heard:
             self.events.append(says)
         elif key == keys.CURRENT_MODEL.path:
             self.models.setdefault(says["model"], self.acknowledgements)
+            self.digests[says["model"]].add(says["digest"])
 
 
 def _lines(witness: Path) -> Iterator[Plain]:
     try:
-        text = witness.read_text(encoding="utf-8")
+        with files.opened(witness, None) as file:
+            while (line := file.readline(codec.MAX_BYTES)).endswith(b"\n"):  # a killed witness may leave half of one
+                yield json.loads(line)
     except OSError as error:
         raise MdbError(f"the witness has left nothing: {error}") from error
-    whole = text.rpartition("\n")[0]  # a witness that was killed may have left half a line
-    yield from map(json.loads, whole.splitlines())
 
 
 def compare(witness: Path, memory: Path) -> Findings:
@@ -110,6 +116,8 @@ def compare(witness: Path, memory: Path) -> Findings:
             return _Memory(file, heard).findings()
     except (sqlite3.Error, DamageError, DecodeError, OSError) as error:
         raise MdbError(f"cannot compare with {memory}: {error}") from error
+    except (KeyError, TypeError, ValueError) as error:  # lines of the witness that are none of its kind
+        raise MdbError(f"{witness} is not what a witness wrote: {error!r}") from error
 
 
 class _Memory:
@@ -174,7 +182,10 @@ class _Memory:
         for id, payload in self._file.rows("SELECT id, payload FROM recalled"):
             self._say(self._decoded(messages.Pair, payload) is None, f"recalled pair {id} cannot be read")
             self._recalled.add(id)
-        self.checked |= {"pairs": len(self._pairs), "recalled pairs": len(self._recalled)}
+        compared = sum(i in self._heard.stored and i in self._heard.pairs for i in self._pairs)
+        few = compared < ENOUGH * len(self._pairs)
+        self._say(few, f"of {len(self._pairs)} pairs the witness has heard {compared}: what it wrote is not whole")
+        self.checked |= {"pairs": compared, "recalled pairs": len(self._recalled)}
 
     def _is_altered(self, i: int) -> bool:
         pair, stored, heard = self._pairs[i], self._stored[i], self._heard
@@ -232,6 +243,7 @@ class _Memory:
         for model, version, payload in self._file.rows("SELECT model, version, payload FROM step"):
             change = self._decoded(messages.MemoryChange, payload)
             fits = change is not None and (change.model, change.version) == (model, version)
+            fits = fits and change is not None and _slots(change) == self._changes.get((model, version), set())
             self._say(not fits, f"what an evolver is told of change {version} of {model} is not that")
             steps[model].add(version)
         for model, versions in self._versions().items():
@@ -250,8 +262,11 @@ class _Memory:
             answers = [*self._heard.stored.get(i, []), *([self._stored[i]] if i in self._stored else [])]
             began = {(model, answer["versions"].get(model)) for answer in answers}
             self._say(bool(began) and not began & self._contexts, f"the context of {model} since pair {i} is gone")
-        counted = self._file.rows("SELECT model, count(*) FROM seed GROUP BY model")
-        seeds: dict[str, int] = {row[0]: row[1] for row in counted}
+        seeds: dict[str, int] = defaultdict(int)
+        for model, place, payload in self._file.rows("SELECT model, place, payload FROM seed ORDER BY model, place"):
+            fits = place == seeds[model] and self._decoded(messages.ModelWeights, payload) is not None
+            self._say(not fits, f"seed {place} of {model} cannot be read, or is in another place")
+            seeds[model] += 1
         for model in {model for model, _ in self._contexts}:
             newest = max(version for name, version in self._contexts if name == model)
             said = self._heard.changes.get((model, newest))
@@ -282,6 +297,9 @@ class _Memory:
         for name, payload in self._file.rows("SELECT name, payload FROM model"):
             model = self._decoded(messages.CurrentModel, payload)
             self._say(model is None or model.model != name, f"the current model {name} cannot be read, or is another")
+            heard = self._heard.digests.get(name)
+            known = model is None or heard is None or digest_of(model) in heard
+            self._say(not known, f"the current model {name} is none that was heard")
             there.add(name)
         for name, before in self._heard.models.items():
             late = self._heard.acknowledgements - before > SOON
@@ -293,6 +311,11 @@ class _Memory:
             return codec.decode(cls, payload, codec.encoding_of(cls)) if isinstance(payload, bytes) else None
         except DecodeError:
             return None
+
+
+def _slots(change: messages.MemoryChange) -> Slots:
+    pairs = zip(change.slots.tolist(), change.pairs.tolist(), strict=True)
+    return {*pairs, *((slot, None) for slot in change.freed.tolist())}
 
 
 def _same_act(a: Plain, b: Plain) -> bool:

@@ -10,6 +10,7 @@ fetch from the publishers afterwards; what it has not heard it does not claim.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import sys
@@ -28,6 +29,11 @@ HEARD: tuple[Key, ...] = (keys.PAIR_STORED, keys.PAIR, keys.MEMORY_CHANGE, keys.
 an evolver does."""
 
 
+def digest_of(message: messages.Message) -> str:
+    """Return what tells a message from any other."""
+    return hashlib.sha256(codec.encode(message)).hexdigest()[:16]
+
+
 def line_of(row: Key, message: messages.Message) -> str:
     """Return what is written of a message: all that the memory must have of it."""
     match message:
@@ -38,7 +44,7 @@ def line_of(row: Key, message: messages.Message) -> str:
                 "model": message.model, "version": message.version, "slots": slots, "seeds": len(message.seeds),
             }  # fmt: skip
         case messages.CurrentModel():
-            says = {"model": message.model, "version": message.version}
+            says = {"model": message.model, "version": message.version, "digest": digest_of(message)}
         case _:
             says = codec.to_plain(message)
     return json.dumps({"key": row.path, "says": says})

@@ -5,18 +5,17 @@ Owns `memory.sqlite` of a run (SQLite, write-ahead log). Decides nothing: `model
 
 from __future__ import annotations
 
-import fcntl
 import sqlite3
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from mdb_protocol import codec, files, messages
-from mdb_protocol.errors import DamageError, DecodeError, MdbError, TakenError
-from mdb_services.memory.reading import foreign, guard, log_of
+from mdb_protocol.errors import DamageError, DecodeError, MdbError
+from mdb_services.memory.lock import hold, unopened
+from mdb_services.memory.reading import bounded, code_of, foreign, guard, held, log_of
 from mdb_services.shell.place import Place
 
 SCHEMA = """
@@ -43,14 +42,15 @@ CREATE TABLE IF NOT EXISTS long_term (
 ) WITHOUT ROWID;
 """
 
+BESIDE = ("-wal", "-journal", "-shm")
+"""Endings of the files beside it that SQLite opens."""
 PAGE = 4096
 """Bytes of SQLite's pages, unless it is told otherwise."""
-DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
-"""What SQLite says of a file that is damaged, or is another database; the rest is the disk or the system."""
-HOLD_S = 1.0
-"""How long a file is waited for that another process has; one that is killed is gone sooner."""
-LOCK_ENDING = "-lock"
-"""Of the name of the file beside a memory file that its writer holds."""
+DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_INTERRUPT)
+"""What SQLite says of a file that is damaged, or is another database, or is looked at for too long; the rest is the
+disk or the system."""
+CHECK_S, CHECKED_A_S = 1.0, 20 * 2**20
+"""Processor time to look at a file, and bytes of it in each second more; a sound one takes a tenth of it."""
 STEPS_KEPT = 1000
 """Changes of a memory that are kept for an evolver that makes no checkpoint."""
 
@@ -100,7 +100,7 @@ class MemoryFile:
         of NORMAL) also a loss of power, for a disk's round trip a pair.
         """
         self._path = path
-        self._lock = _hold(path)
+        self._lock = hold(path)
         try:
             self._open(power_safe=power_safe)
         except BaseException:
@@ -113,9 +113,10 @@ class MemoryFile:
         try:
             self._db = sqlite3.connect(path, isolation_level=None)
             guard(self._db)
-            if (reason := foreign(self._db)) is not None:
-                raise self.unusable(reason)
-            (found,) = self._db.execute("PRAGMA quick_check(1)").fetchone()
+            with bounded(self._db, CHECK_S + held(path) / CHECKED_A_S):
+                if (reason := foreign(self._db)) is not None:
+                    raise self.unusable(reason)
+                (found,) = self._db.execute("PRAGMA quick_check(1)").fetchone()
             if found != "ok":
                 raise self.unusable(str(found).replace("\n", " "))
             self._db.execute("PRAGMA journal_mode=WAL")
@@ -123,9 +124,9 @@ class MemoryFile:
             self._db.executescript(SCHEMA)
             columns = {row[1] for row in self._db.execute("PRAGMA table_info(pair)")}
         except sqlite3.Error as error:
-            if error.sqlite_errorcode & 0xFF in DAMAGE:
+            if code_of(error) in DAMAGE:
                 raise self.unusable(error) from error
-            raise _unopened(path, error) from error
+            raise unopened(path, error) from error
         if "choice" not in columns:
             self._db.close()
             raise MdbError(
@@ -141,7 +142,7 @@ class MemoryFile:
     def _check_length(self) -> None:
         """DamageError for what is no file, or what SQLite mends in silence: a log beside an empty file, and so on."""
         log = log_of(self._path)
-        for path in (self._path, log):
+        for path in (self._path, *(self._path.with_name(f"{self._path.name}{end}") for end in BESIDE)):
             try:
                 with files.opened(path, None):
                     pass
@@ -368,35 +369,3 @@ class MemoryFile:
         """Close the file."""
         self._db.close()
         self._lock.close()
-
-
-def _unopened(path: Path, error: Exception) -> MdbError:
-    return MdbError(
-        f"{path} cannot be opened: {error}. Is the disk full, or the folder not yours, or gone? If it is in the way, "
-        "move it away to start with an empty memory"
-    )
-
-
-def _hold(path: Path) -> BinaryIO:
-    """Hold a memory file until what is returned is closed, or this process dies, however it does.
-
-    One that another process has is waited for as long as one that is being killed may take to be gone.
-    """
-    deadline = time.monotonic() + HOLD_S
-    try:
-        lock = path.with_name(f"{path.name}{LOCK_ENDING}").open("ab")
-    except OSError as error:
-        raise _unopened(path, error) from error
-    while True:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() < deadline:
-                time.sleep(HOLD_S / 20)
-                continue
-            lock.close()
-            raise TakenError(
-                f"another process writes {path}: a brain that runs. Stop it first, with Ctrl-C in its 'mdb up'; "
-                f"'mdb up --resume {path.parent}' goes on afterwards"
-            ) from None
-        return lock

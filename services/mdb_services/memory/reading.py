@@ -16,7 +16,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from mdb_protocol import files
+from mdb_protocol import codec, files
 from mdb_protocol.errors import DamageError
 
 Row = tuple[Any, ...]
@@ -26,10 +26,12 @@ TABLES = ("pair", "recalled", "change", "context", "seed", "model", "checkpoint"
 
 MOST_FILE = 2 * 2**30
 """Bytes of a memory file, or of its write-ahead log; 10^5 iterations of the paper's experiment have 0.2 GB."""
-MOST_VALUE = 32 * 2**20
-"""Bytes of one value, or of one row."""
+MOST_VALUE = codec.MAX_BYTES + 2**20
+"""Bytes of one value, or of one row: a message and its names."""
 MOST_S = 1.0
 """Processor time of one statement."""
+TABLES_S = 0.25
+"""Processor time to find out which tables there are."""
 LOOKS = 10_000
 """Instructions of SQLite between two looks at the clock."""
 ROW_BYTES = 4
@@ -44,8 +46,10 @@ class Reader:
     """A memory file that is open for reading; closed by who opened it, see `opened`."""
 
     def __init__(self, db: sqlite3.Connection, path: Path, bytes_: int) -> None:
-        self._db, self._path, self._bytes = db, path, bytes_
-        self._until_s = 0.0
+        self._db, self._path = db, path
+        self.bytes = bytes_
+        """Of the file with its write-ahead log."""
+        self._until_s = time.process_time() + TABLES_S
         self.spent_s = 0.0
         """Processor time of all statements."""
         guard(db)
@@ -56,7 +60,7 @@ class Reader:
 
         sqlite3.Error when SQLite cannot read it.
         """
-        left = self._bytes
+        left = self.bytes
         began_s = time.process_time()
         self._until_s = began_s + MOST_S
         try:
@@ -69,7 +73,7 @@ class Reader:
                 used_s = time.process_time() - given_s  # by its reader, which is no time of the statement
                 began_s, self._until_s = began_s + used_s, self._until_s + used_s
         except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode == sqlite3.SQLITE_INTERRUPT:
+            if code_of(error) == sqlite3.SQLITE_INTERRUPT:
                 raise self._damaged(f"reading takes longer than {MOST_S:g} s of processor time") from error
             raise
         except sqlite3.DataError as error:  # longer than `MOST_VALUE`
@@ -79,6 +83,12 @@ class Reader:
 
     def _damaged(self, reason: object) -> DamageError:
         return DamageError(f"{self._path} is not a memory of a brain, or is damaged: {reason}")
+
+
+def code_of(error: sqlite3.Error) -> int:
+    """Return SQLite's word for an error; that of damage for what Python itself refuses, as a text that is none."""
+    code: int = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
+    return code & 0xFF
 
 
 def guard(db: sqlite3.Connection) -> None:
@@ -110,6 +120,17 @@ def foreign(db: sqlite3.Connection) -> str | None:
 
 
 @contextmanager
+def bounded(db: sqlite3.Connection, most_s: float) -> Iterator[None]:
+    """Interrupt what a database is asked within, when it takes more processor time than that."""
+    until_s = time.process_time() + most_s
+    db.set_progress_handler(lambda: time.process_time() > until_s, LOOKS)
+    try:
+        yield
+    finally:
+        db.set_progress_handler(None, 0)
+
+
+@contextmanager
 def opened(path: Path) -> Iterator[Reader]:
     """Open a memory file for reading, as it is now; nothing beside it is made or touched.
 
@@ -129,7 +150,8 @@ def opened(path: Path) -> Iterator[Reader]:
                 reader = Reader(db, path, bytes_)
                 reason = foreign(db)
             except sqlite3.Error as error:
-                raise DamageError(f"{path} is not a memory of a brain, or is damaged: {error}") from error
+                why = "too many tables" if code_of(error) == sqlite3.SQLITE_INTERRUPT else error
+                raise DamageError(f"{path} is not a memory of a brain, or is damaged: {why}") from error
             if reason is not None:
                 raise DamageError(f"{path} is not a memory of a brain: {reason}")
             yield reader

@@ -29,8 +29,10 @@ from mdb_services.memory.reading import Reader, Row, copy, foreign, held
 
 M = TypeVar("M", bound=Message)
 
-MOST_S = 30.0
-"""Processor time that is spent on one file; some ten times what a large one takes."""
+MOST_S = 1.0
+BYTES_A_S = 100 * 2**20
+"""Processor time that is spent on a file, and bytes of it in each second more; a sound one takes a
+quarter of it."""
 KINDS: dict[str, tuple[type | UnionType, ...]] = {
     "change": (str, int, int, int | None, float | None),
     "context": (str, int, int, int),
@@ -156,7 +158,7 @@ def _by_halves(db: Reader, sql: str, given: Row, low: int, high: int) -> list[Ro
 
     A file that takes too long is left where it is by then.
     """
-    if db.spent_s > MOST_S:
+    if db.spent_s > MOST_S + db.bytes / BYTES_A_S:
         return []
     rows = _at_once(db, sql, *given, low, high)
     if rows is not None or low == high:
@@ -173,27 +175,29 @@ def _opened(path: Path) -> Iterator[Reader]:
     with tempfile.TemporaryDirectory(prefix="mdb-") as folder:
         copied = Path(folder) / path.name
         copy(path, copied)
-        db = _connect(copied)
-        if not _has_tables(db):
-            db.close()
-            copy(path, copied)
-            _renew_first_page(copied)
-            db = _connect(copied)
-        with closing(db):
-            yield Reader(db, path, held(copied))
+        with closing(sqlite3.connect(copied, isolation_level=None)) as db:
+            if _has_tables(db, reader := _reader(db, path, copied)):
+                yield reader
+                return
+        copy(path, copied)
+        _renew_first_page(copied)
+        with closing(sqlite3.connect(copied, isolation_level=None)) as db:
+            yield _reader(db, path, copied)
 
 
-def _connect(path: Path) -> sqlite3.Connection:
-    db = sqlite3.connect(path, isolation_level=None)
+def _reader(db: sqlite3.Connection, path: Path, copied: Path) -> Reader:
+    reader = Reader(db, path, held(copied))
     db.execute("PRAGMA writable_schema=ON")  # a file that is shorter than it says is read as far as it goes
-    return db
+    return reader
 
 
-def _has_tables(db: sqlite3.Connection) -> bool:
+def _has_tables(db: sqlite3.Connection, reader: Reader) -> bool:
     try:
-        names = {row[0] for row in db.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
-        return {"pair", "change", "long_term"} <= names and foreign(db) is None
-    except sqlite3.Error:
+        if foreign(db) is not None:
+            return False
+        names = {row[0] for row in reader.rows("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+        return {"pair", "change", "long_term"} <= names
+    except (sqlite3.Error, DamageError):
         return False
 
 
@@ -204,10 +208,10 @@ def _renew_first_page(path: Path) -> None:
         db.execute("PRAGMA journal_mode=WAL")
         db.executescript(SCHEMA)
         db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    content = bytearray(path.read_bytes().ljust(PAGE, b"\0"))
-    content[:PAGE] = fresh.read_bytes()[:PAGE]
-    content[28:32] = bytes(4)  # the number of pages: to be taken from the file, or from its log
-    path.write_bytes(content)
+    first = bytearray(fresh.read_bytes()[:PAGE])
+    first[28:32] = bytes(4)  # the number of pages: to be taken from the file, or from its log
+    with path.open("r+b") as file:
+        file.write(first)
 
 
 def _decoded(cls: type[M], payload: Any) -> M | None:

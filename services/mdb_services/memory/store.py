@@ -99,7 +99,7 @@ class MemoryStore:
             for model in (*self._file.models().values(), *newest):
                 self._remember(model)
             self._recalled_ids = count(self._file.lowest_recalled() - 1, -1)
-        except (sqlite3.Error, DecodeError, ValueError) as error:
+        except (sqlite3.Error, DecodeError, TypeError, ValueError) as error:
             raise self._file.unusable(error) from error
 
     def _begin(self) -> None:

@@ -8,7 +8,9 @@ which code it is of, so that a sweep can be gone on with.
 from __future__ import annotations
 
 import json
+import resource
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +33,8 @@ METADATA = b"mdb"
 ENDING = ".parquet"
 MOST_BYTES = 64 * 2**20
 """Of a result's file, and of what it says that it unpacks to; those of the longest study have 1 MB."""
+MOST_ROOM = 160 * 2**20
+"""Memory that reading one may take, whatever the file says of itself."""
 MOST_PHASES = 100_000
 
 
@@ -106,12 +110,34 @@ def decode(data: bytes) -> Result:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with pq.ParquetFile(pa.BufferReader(data)) as file:
+    with _in_room(), pq.ParquetFile(pa.BufferReader(data)) as file:
         said = file.metadata
         unpacked = sum(said.row_group(number).total_byte_size for number in range(said.num_row_groups))
         if not 0 < said.num_rows <= MOST_PHASES or unpacked > MOST_BYTES:
             raise ValueError(f"{said.num_rows} phases in {size(unpacked)}: no run has that many")
-        return _result(file.read())
+        return _result(file.read(use_threads=False))
+
+
+@contextmanager
+def _in_room() -> Iterator[None]:
+    """Let nothing within take more than `MOST_ROOM`: ValueError instead. A page that unpacks to a gigabyte need not
+    say so before.
+    """
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5])
+    except OSError:  # no Linux: without a bound
+        yield
+        return
+    most = pages * resource.getpagesize() + MOST_ROOM
+    bounds = [bound for bound in before if bound != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min([most, *bounds]), before[1]))
+    try:
+        yield
+    except MemoryError as error:
+        raise ValueError(f"reading it takes more than {size(MOST_ROOM)}") from error
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
 def relabelled(data: bytes, label: Label) -> bytes:
