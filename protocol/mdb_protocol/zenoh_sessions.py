@@ -127,7 +127,7 @@ class Router:
                 config.insert_json5("transport/link/tls", json.dumps(SHORT | keys.bundle.router_tls()))
                 config.insert_json5("access_control", json.dumps(keys.access_control))
                 config.insert_json5("downsampling", json.dumps(limits.rates(keys.users)))
-                config.insert_json5("qos/network", json.dumps(limits.priorities(keys.users)))
+            config.insert_json5("qos/network", json.dumps(limits.priorities(keys.users if keys is not None else ())))
             config.insert_json5("low_pass_filter", json.dumps(limits.sizes()))
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
