@@ -308,6 +308,9 @@ class Bus(ABC):
         """Wait until something came since the last `wait`, or the bound; return whether it did."""
         return self._wake.wait(timeout_s)
 
+    def check_heard(self) -> None:  # noqa: B027 - only where there is a router can it fail
+        """Raise UnheardError when the router gives us nothing any more; to be called now and then."""
+
     def poke(self) -> None:
         """Wake this bus's `wait`, from any thread: something other than a message is to be done."""
         self._wake.set()

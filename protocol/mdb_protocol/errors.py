@@ -25,5 +25,13 @@ class TakenError(BusError):
     """A service of a brain's name that lives already."""
 
 
+UNHEARD = 75
+"""Exit status of a service that ends with UnheardError (EX_TEMPFAIL of sysexits.h); its runner replaces the router."""
+
+
+class UnheardError(BusError):
+    """The router is connected, and gives us nothing any more; it is to be replaced."""
+
+
 class QueryError(MdbError):
     """A query that got no usable answer within its time."""

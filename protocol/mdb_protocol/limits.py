@@ -17,9 +17,6 @@ from mdb_protocol.roles import Role, User
 KEPT_HZ = 50
 """How often a guest's publisher may say on one key how far it is; ours say it four times a second."""
 
-AFTER = ("data", "data_low", "background")
-"""Zenoh's usual priority and those below it: of all that the brain's own processes do not say themselves."""
-
 
 def sizes() -> list[dict[str, object]]:
     """Return `low_pass_filter`: what a sample or an answer may have by its key, whoever sends it, and a question."""
@@ -50,23 +47,20 @@ def rates(users: Iterable[User]) -> list[dict[str, object]]:
 
 
 def priorities(users: Iterable[User]) -> list[dict[str, object]]:
-    """Return `qos/network`: what guests write comes after what the brain says, whatever priority they ask for.
+    """Return `qos/network`: what guests write comes after what the brain says, and no reader is waited for with it.
 
-    And what comes after is dropped where a reader is too slow for it, whatever its sender asks for. Who said that it
-    is to be waited for would have the router close the reader's link; now and then one that was closed and comes back
-    at once gets nothing any more (Zenoh 1.10).
+    Whatever they ask for: who is to be waited for, and is too slow, is disconnected by Zenoh.
     """
     guests = [expression for key in _guests(users) for expression in (key, f"{key}/@adv/**")]
-    after = {"priority": AFTER[0], "congestion_control": "drop"}
-    drop = {"congestion_control": "drop"}
-    return [
-        *([_qos("guests", guests, after)] if guests else []),
-        *(_qos(priority, [f"{ROOT}/**"], drop) | {"qos": {"priority": priority}} for priority in AFTER),
-    ]
-
-
-def _qos(name: str, keys: list[str], overwrite: dict[str, str]) -> dict[str, object]:
-    return {"id": name, "flows": ["ingress"], "messages": ["put"], "key_exprs": keys, "overwrite": overwrite}
+    after = {"priority": "data", "congestion_control": "drop"}
+    rule: dict[str, object] = {
+        "id": "guests",
+        "flows": ["ingress"],
+        "messages": ["put"],
+        "key_exprs": guests,
+        "overwrite": after,
+    }
+    return [rule] if guests else []
 
 
 def _guests(users: Iterable[User]) -> dict[str, Key]:

@@ -31,12 +31,13 @@ from zenoh.handlers import Callback
 from mdb_protocol import codec, endpoints, keys
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.bus import Bus, Inbox, Publisher, Tap, pack, read
-from mdb_protocol.errors import BusError, DecodeError, QueryError
+from mdb_protocol.errors import BusError, DecodeError, QueryError, UnheardError
 from mdb_protocol.following import ANSWERED_S, Follower, Manner, Origin, Wanted
 from mdb_protocol.keys import ALIVE, CLAIM, ROOT, Delivery, Key
 from mdb_protocol.messages import Message
+from mdb_protocol.probing import Probe
 from mdb_protocol.waiting import Raw
-from mdb_protocol.zenoh_sessions import open_client
+from mdb_protocol.zenoh_sessions import ask_router, open_client
 
 RELIABLE_CACHE = 256
 """Samples a reliable publisher keeps for readers that missed some."""
@@ -87,6 +88,7 @@ class ZenohBus(Bus):
         self._declared: list[Any] = []
         self._asked: dict[Key, SimpleQueue[tuple[Callable[[], Message | None], zenoh.Query]]] = {}
         self._serves_again_s = 0.0
+        self._probe = Probe()
         self._alive: set[str] | None = None
         self._alive_lock = threading.Lock()
         self._followers: list[Follower] = []
@@ -275,6 +277,17 @@ class ZenohBus(Bus):
     def connected(self) -> bool:
         """Whether there is a router at the other end now; a session that has lost it comes back by itself."""
         return bool(self._session.info.routers_zid())
+
+    def check_heard(self) -> None:
+        """See `Bus.check_heard`."""
+        if not self._probe.is_due():
+            return
+        if not self.connected():
+            self._probe.rest()
+        elif self._probe.unheard:
+            raise UnheardError(f"the router at {self._connect} is there, and gives us nothing any more")
+        else:
+            ask_router(self._session, f"{ROOT}/{self.brain}/nobody", self._probe)
 
     def token(self, role: str, instance: str) -> None:
         """See `Bus.token`."""

@@ -15,10 +15,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import zenoh
+from zenoh.handlers import Callback
 
 from mdb_protocol import endpoints, limits
 from mdb_protocol.bundle import Bundle, why_refused
 from mdb_protocol.errors import BusError
+from mdb_protocol.probing import EVERY_S, Probe
 from mdb_protocol.roles import User
 
 LEASE_MS = 2000
@@ -86,6 +88,17 @@ def open_client(
             time.sleep(0.05)
 
 
+def ask_router(session: zenoh.Session, key: str, probe: Probe) -> None:
+    """Ask who holds a token that nobody has; the router itself answers."""
+
+    def hear(reply: zenoh.Reply) -> None:
+        if reply.ok is None:
+            probe.fail()
+
+    probe.ask()
+    session.liveliness().get(key, Callback(hear, probe.end, indirect=False), timeout=EVERY_S)
+
+
 class RouterKeys(NamedTuple):
     """What a router with keys shows and enforces: its own bundle, Zenoh's `access_control`, and who is admitted."""
 
@@ -127,7 +140,7 @@ class Router:
                 config.insert_json5("transport/link/tls", json.dumps(SHORT | keys.bundle.router_tls()))
                 config.insert_json5("access_control", json.dumps(keys.access_control))
                 config.insert_json5("downsampling", json.dumps(limits.rates(keys.users)))
-            config.insert_json5("qos/network", json.dumps(limits.priorities(keys.users if keys is not None else ())))
+                config.insert_json5("qos/network", json.dumps(limits.priorities(keys.users)))
             config.insert_json5("low_pass_filter", json.dumps(limits.sizes()))
             self._session = zenoh.open(config)
         except zenoh.ZError as error:

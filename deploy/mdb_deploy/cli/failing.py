@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TextIO, cast
 
 from mdb_deploy.cli.parsing import DISTRIBUTION, own_version
-from mdb_protocol.errors import MdbError
+from mdb_protocol.errors import UNHEARD, MdbError, UnheardError
 from mdb_protocol.words import shown
 
 FAILED, INTERRUPTED, NOBODY_READS = 2, 130, 141
@@ -68,7 +68,7 @@ def _line(error: BaseException, extra: str) -> tuple[str, int]:
     if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # of `Path.resolve`
         error = MdbError(f"{error}: a link to itself; give a path that can be read")
     if isinstance(error, MdbError):
-        return str(error), FAILED
+        return str(error), UNHEARD if isinstance(error, UnheardError) else FAILED
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("mdb_"):
         wanted = f"pip install '{DISTRIBUTION}[{extra}]'"
         return f"this needs {error.name}, which is not installed: {wanted}", FAILED

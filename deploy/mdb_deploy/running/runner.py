@@ -22,7 +22,7 @@ from typing import IO
 import structlog
 
 from mdb_deploy.running.compose import ROUTER, ProcessSpec, fill
-from mdb_protocol.errors import MdbError
+from mdb_protocol.errors import UNHEARD, MdbError
 from mdb_services.shell.heartbeat import BEAT_S, Pulse
 
 log = structlog.get_logger()
@@ -113,6 +113,12 @@ class Runner:
         """Tell the processes started from now on where the router is; itself listens there again if it dies."""
         self._variables |= {"MDB_CONNECT": endpoint, "MDB_LISTEN": listen}
 
+    def replace_router(self, why: str) -> None:
+        """End a router of ours that does not do what it should; who lives joins the next one."""
+        router = self.children.get(ROUTER)
+        if router is not None and router.ready and not router.ended_for:
+            router.end(why)
+
     async def start(self, on_ready: Callable[[str], None] = lambda _: None) -> None:
         """Start every process once those it waits for are ready; StartError when one does not become ready."""
         work = [self._listen(), *(self._keep(child, on_ready) for child in self.children.values())]
@@ -145,6 +151,8 @@ class Runner:
             child.ready = False
             child.quick_deaths = child.quick_deaths + 1 if quick else 0
             log.warning("process died", name=child.spec.name, status=status, reason=reason, restarts=child.restarts)
+            if status == UNHEARD:
+                self.replace_router(f"it gave {child.spec.name} nothing any more")
             if (why := self._why_give_up(child, status, how)) is not None:
                 self._fail(f"{child.spec.name} {why}. Its last lines ({child.log_path}):\n{child.last_lines()}")
                 return

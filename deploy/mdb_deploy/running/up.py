@@ -151,6 +151,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
     runner = Runner(specs, variables, options.run / "logs", watch.alive)
     if options.connect is None:
         watch.on_endpoint = lambda found: runner.connect(found, endpoints.with_port_of(options.listen, found))
+    watch.on_unheard = runner.replace_router
     status = 0
     try:
         if options.connect is not None:

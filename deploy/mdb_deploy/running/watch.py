@@ -18,7 +18,7 @@ from mdb_deploy.running.processes import ENDPOINT_FILE, INSTANCES
 from mdb_deploy.running.progress import Progress
 from mdb_protocol import keys
 from mdb_protocol.bus import Bus
-from mdb_protocol.errors import BusError, TakenError
+from mdb_protocol.errors import BusError, TakenError, UnheardError
 from mdb_protocol.holding import GONE_S, hold
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import MEMORY_FILE
@@ -64,6 +64,8 @@ class Watch:
         self._counted_s = self._alone_s = time.monotonic()
         """When robots were counted last, and when there was one at the most."""
         self.on_endpoint: Callable[[str], None] = lambda _: None
+        self.on_unheard: Callable[[str], None] = lambda _: None
+        """Called when the router gives us nothing any more."""
 
     def join(self, endpoint: str) -> None:
         """Join a router that runs.
@@ -137,6 +139,10 @@ class Watch:
         """Answer who asks how we are."""
         self._folder.look()
         self.bus.serve()
+        try:
+            self.bus.check_heard()
+        except UnheardError as error:
+            self.on_unheard(str(error))
         self._count()
         if self._meter is not None:
             self._meter.tick()

@@ -23,6 +23,7 @@ import structlog
 
 from mdb_protocol import keys
 from mdb_protocol.bus import Bus
+from mdb_protocol.errors import UnheardError
 from mdb_protocol.messages import Status
 from mdb_services.shell.heartbeat import CLOSE_S, SILENT_S, Heart
 
@@ -154,6 +155,7 @@ def run(service: Service, stop: Callable[[], bool], folder: Path | None = None, 
 
     `folder` is the run's, for those who ask. `heart` beats at each turn.
 
+    Raises UnheardError when the router gives it nothing any more.
     Re-raises the error when steps fail `FAILURES_IN_A_ROW` times, so that the supervisor restarts it.
     """
     failures = 0
@@ -170,6 +172,8 @@ def run(service: Service, stop: Callable[[], bool], folder: Path | None = None, 
                 while service.step() and not stop():
                     _turn(service, meter, heart)
                 failures = 0
+            except UnheardError:
+                raise
             except Exception:
                 failures += 1
                 log.exception("step failed", role=service.role, failures=failures)
@@ -184,6 +188,7 @@ def run(service: Service, stop: Callable[[], bool], folder: Path | None = None, 
 def _turn(service: Service, meter: Meter, heart: Heart) -> None:
     """Do what belongs before each step."""
     service.bus.serve()
+    service.bus.check_heard()
     meter.tick()
     heart.beat(service.next_s() if isinstance(service, Bounded) else SILENT_S)
 
