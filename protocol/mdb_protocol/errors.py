@@ -26,7 +26,7 @@ class TakenError(BusError):
 
 
 UNHEARD = 75
-"""Exit status of a service that ends with UnheardError (EX_TEMPFAIL of sysexits.h); its runner replaces the router."""
+"""Exit status of a service ended by UnheardError (EX_TEMPFAIL of sysexits.h); the runner replaces the router."""
 
 
 class UnheardError(BusError):

@@ -25,6 +25,12 @@ ASKED_EVERY_S = 0.5
 """A publisher is asked again no sooner, whatever he says he has."""
 ANSWERED_S = 1.0
 """Who has not answered by then is taken to have nothing: what waits behind the gap goes on."""
+RECOVERY_S = 0.05
+"""How often is looked for what can be asked again, while something is missing."""
+ALL_PAST = 2**14
+"""Samples taken of all publishers together when a subscription begins."""
+NUMBER_BYTES = 4
+"""What a heartbeat is: the number of the last sample."""
 HELD = 256
 """Samples of one publisher that wait behind a gap."""
 HELD_BYTES = 2**23

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 EVERY_S = 2.0
-"""How often is asked, and the bound on an answer."""
+"""How often the router is asked, and the bound on an answer."""
 MISSED = 3
 """So many questions without an answer, one after the other, are a router that gives us nothing."""
 

@@ -32,10 +32,19 @@ from mdb_protocol import codec, endpoints, keys
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.bus import Bus, Inbox, Publisher, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError, UnheardError
-from mdb_protocol.following import ANSWERED_S, Follower, Manner, Origin, Wanted
+from mdb_protocol.following import (
+    ALL_PAST,
+    ANSWERED_S,
+    NUMBER_BYTES,
+    RECOVERY_S,
+    Follower,
+    Manner,
+    Origin,
+    Wanted,
+)  # fmt: skip
 from mdb_protocol.keys import ALIVE, CLAIM, ROOT, Delivery, Key
 from mdb_protocol.messages import Message
-from mdb_protocol.probing import Probe
+from mdb_protocol.probing import EVERY_S, Probe
 from mdb_protocol.waiting import Raw
 from mdb_protocol.zenoh_sessions import ask_router, open_client
 
@@ -51,12 +60,6 @@ SERVED_AT_ONCE, SERVED_EVERY_S = 16, 0.1
 """Queries on one row answered before the service does its own work again, and how soon more than these: who asks
 without end waits, and is not told at once that there is no answer, for then he would ask again.
 """
-RECOVERY_S = 0.05
-"""How often is looked for what can be asked again, while something is missing."""
-ALL_PAST = 2**14
-"""Samples taken of all publishers together when a subscription begins."""
-NUMBER_BYTES = 4
-"""What a heartbeat is: the number of the last sample."""
 TOKENS_S, DEFAULT_ENDPOINT = 2.0, endpoints.USUAL
 
 
@@ -92,8 +95,9 @@ class ZenohBus(Bus):
         self._alive: set[str] | None = None
         self._alive_lock = threading.Lock()
         self._followers: list[Follower] = []
-        self._recovery: threading.Thread | None = None
         self._missed, self._closing = threading.Event(), threading.Event()
+        self._recovery = threading.Thread(target=self._recover, name="recovery", daemon=True)
+        self._recovery.start()
 
     def publisher(self, row: Key, **parameters: str) -> Publisher:
         """See `Bus.publisher`."""
@@ -134,7 +138,6 @@ class ZenohBus(Bus):
 
     def _subscribe(self, key: str, put: Callable[[Raw], None], history: int) -> None:
         """Hand samples to `put`, and at first the last `history` ones that each publisher has."""
-
         refusals = self.refusals
 
         def hand_over(sample: zenoh.Sample) -> None:
@@ -173,15 +176,20 @@ class ZenohBus(Bus):
         self._followers.append(follower)
         if history:
             self._ask_past(follower, Wanted(f"{key}/@adv/**?_max={history}", ALL_PAST, lambda: None))
-        if self._recovery is None:
-            self._recovery = threading.Thread(target=self._recover, name="recovery", daemon=True)
-            self._recovery.start()
 
     def _recover(self) -> None:
-        """Ask for what followers miss; in a thread of its own, for a query waits where the router takes none."""
+        """Ask for what followers miss, and whether the router still gives us anything.
+
+        In a thread of its own, for a query waits where the router takes none.
+        """
         while not self._closing.is_set():
-            self._missed.wait(RECOVERY_S if any(follower.missing() for follower in self._followers) else None)
+            self._missed.wait(RECOVERY_S if any(follower.missing() for follower in self._followers) else EVERY_S)
             self._missed.clear()
+            if self._probe.is_due():
+                if self.connected():
+                    ask_router(self._session, f"{ROOT}/{self.brain}/nobody", self._probe)
+                else:
+                    self._probe.rest()
             for follower in list(self._followers):
                 for wanted in follower.wanted():
                     self._ask_past(follower, wanted)
@@ -280,14 +288,8 @@ class ZenohBus(Bus):
 
     def check_heard(self) -> None:
         """See `Bus.check_heard`."""
-        if not self._probe.is_due():
-            return
-        if not self.connected():
-            self._probe.rest()
-        elif self._probe.unheard:
+        if self._probe.unheard:
             raise UnheardError(f"the router at {self._connect} is there, and gives us nothing any more")
-        else:
-            ask_router(self._session, f"{ROOT}/{self.brain}/nobody", self._probe)
 
     def token(self, role: str, instance: str) -> None:
         """See `Bus.token`."""
@@ -366,8 +368,7 @@ class ZenohBus(Bus):
         """See `Bus.close`."""
         self._closing.set()
         self._missed.set()
-        if self._recovery is not None:
-            self._recovery.join(ANSWERED_S)
+        self._recovery.join(ANSWERED_S)
         self._followers.clear()
         for declared in reversed(self._declared):
             with suppress(zenoh.ZError):

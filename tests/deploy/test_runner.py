@@ -15,8 +15,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from mdb_deploy.running import runner as module
-from mdb_deploy.running.compose import ProcessSpec
+from mdb_deploy.running.compose import ROUTER, ProcessSpec
 from mdb_deploy.running.runner import BACKOFF_S, QUICK_DEATHS, Child, Runner, StartError
+from mdb_protocol.errors import UNHEARD
 
 BOUND_S = 20.0
 READY = "import pathlib, time; pathlib.Path({flag!r}).touch(); "
@@ -169,6 +170,25 @@ def test_a_process_whose_loop_hangs_is_ended_and_started_again(tmp_path: Path) -
         run(lambda: Rig(tmp_path, HANGS_ONCE), check)
     (died,) = (line for line in said if line["event"] == "process died")
     assert died["reason"].startswith("it hung: no sign of life for ")
+
+
+@pytest.mark.edge("a start that fails, a process that hangs", "the router gives one of its clients nothing any more")
+def test_a_router_that_gives_a_process_nothing_is_replaced_with_it(tmp_path: Path) -> None:
+    async def check(rig: Rig) -> None:
+        spec = ProcessSpec(ROUTER, (sys.executable, "-c", "import time; time.sleep(60)"), (), "role/one", {}, True)
+        rig.runner.children[ROUTER] = router = Child(spec, tmp_path / "logs" / "router.log")
+        await rig.runner.start()
+        (tmp_path / "unheard").touch()
+        await until(lambda: router.restarts == 1 and router.ready and rig.child.restarts == 1 and rig.child.ready)
+
+    leaves = READY + (
+        "there = pathlib.Path({flag!r}).with_name('unheard')\n"
+        "while not there.exists(): time.sleep(0.01)\n"
+        f"there.unlink(); raise SystemExit({UNHEARD})"
+    )
+    with capture_logs() as said:
+        run(lambda: Rig(tmp_path, leaves), check)
+    assert "it gave one nothing any more" in [line.get("reason") for line in said]
 
 
 @pytest.mark.edge("a start that fails, a process that hangs", "SIGSTOP for good")
