@@ -17,14 +17,18 @@ SHIPPED = "paper.toml"
 """Stands in the text of a file for that experiment's text; a line's end before it, for all of its lines."""
 LONG = "@long@"
 BOUND_S = 100.0
+QUICK = 3
+"""So many of each kind are tried in every run of the tests; the others with `-m long`."""
 
 
 def cases() -> list[Any]:
-    found = ((kind["name"], case) for kind in CASES for case in kind["case"])
     return [
-        pytest.param(case, marks=pytest.mark.edge(name, case["input"]), id=f"{name}: {case['input']}")
-        for name, case in found
-    ]
+        pytest.param(
+            case, id=f"{kind['name']}: {case['input']}",
+            marks=[pytest.mark.edge(kind["name"], case["input"]), *([pytest.mark.long] if at >= QUICK else [])],
+        )
+        for kind in CASES for at, case in enumerate(kind["case"])
+    ]  # fmt: skip
 
 
 def lay(folder: Path, case: Mapping[str, Any]) -> None:

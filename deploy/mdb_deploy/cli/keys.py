@@ -131,7 +131,8 @@ def _schema(arguments: argparse.Namespace) -> int:
     elif arguments.message in named:
         found = schema_of(named[arguments.message])
     else:
-        raise MdbError(f"no message {arguments.message!r}{nearest(arguments.message, list(named))}; see 'mdb keys'")
+        near = nearest(arguments.message, list(named))
+        raise MdbError(f"no message {arguments.message!r}{near}; there are {', '.join(sorted(named))}")
     sys.stdout.write(json.dumps(found, indent=1) + "\n")
     return 0
 
