@@ -280,7 +280,8 @@ class ZenohBus(Bus):
     def put(self, raw: Raw) -> None:
         """Put bytes as they are: for trials of what readers refuse."""
         block = zenoh.CongestionControl.BLOCK
-        self._session.put(raw.key, raw.payload, encoding=raw.encoding, congestion_control=block)
+        control = zenoh.Priority.DATA_HIGH  # in order with what publishers say
+        self._session.put(raw.key, raw.payload, encoding=raw.encoding, congestion_control=block, priority=control)
 
     def connected(self) -> bool:
         """Whether there is a router at the other end now; a session that has lost it comes back by itself."""

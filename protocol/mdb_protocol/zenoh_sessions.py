@@ -63,7 +63,7 @@ def open_client(
                 "transport": {
                     "shared_memory": {"enabled": False},  # 20 MB for each process that says something large
                     "link": {
-                        "tx": {"lease": LEASE_MS, "queue": {"size": {CONTROL: WAITING}}},
+                        "tx": {"lease": LEASE_MS, "queue": {"size": {CONTROL: WAITING, "data": WAITING}}},
                         "tcp": SHORT,
                         "tls": SHORT if bundle is None else SHORT | bundle.client_tls(),
                     },

@@ -20,14 +20,14 @@ QUICK = {
     ("exported models", "a link to a device that never ends"),
     ("result of a study", "columns of somebody else"),
 }
-"""Tried in every run of the tests; the others with `-m long`."""
+"""Tried in every run of the tests; the others by the command that makes the table."""
 assert {(kind.name, name) for kind in KINDS for name in kind.inputs} >= QUICK
 ALL = [
     pytest.param(
         kind,
         name,
         id=f"{kind.name}-{name}",
-        marks=[pytest.mark.edge(kind.name, name), *([] if (kind.name, name) in QUICK else [pytest.mark.long])],
+        marks=[pytest.mark.edge(kind.name, name), *([] if (kind.name, name) in QUICK else [pytest.mark.slow])],
     )
     for kind in KINDS
     for name in kind.inputs

@@ -35,6 +35,8 @@ TOGETHER_S = 0.5
 """... at most this much later."""
 ITERATIONS_A_KILL = 120
 """Enough of an experiment for each kill: some two seconds at the shipped 0.05 s an action and a slow recovery."""
+ITERATIONS_A_HANG = 600
+"""So many more for one that hangs: some of them hold up nobody until they are replaced."""
 ALONE_S = 0.2
 """What the robot shows for so long after its commander's token is gone may have been under way."""
 GROWN_S = QUICK_S + 1.0
@@ -53,8 +55,6 @@ class ChaosOptions:
     overrides: tuple[str, ...]
     out: Path
     kills: int = 300
-    hangs: float = 0.0
-    """The share of these that are hangs."""
     seed: int = 1
     roles: tuple[str, ...] = ()
     """Names of the process table; none: all."""
@@ -64,6 +64,8 @@ class ChaosOptions:
     """Between a recovery and the next kill, at most."""
     to_the_end: bool = False
     """Whether the experiment is as long as its file says, and is run to its end."""
+    hangs: float = 0.0
+    """The share of kills that are hangs instead."""
 
 
 @dataclass
@@ -197,7 +199,8 @@ def experiment_of(options: ChaosOptions) -> Experiment:
     """Return the experiment that is run: long enough for the kills, or as its file says."""
     if options.to_the_end:
         return Experiment.read(options.experiment, options.overrides)
-    return long_experiment(options.experiment, options.overrides, options.kills * ITERATIONS_A_KILL)
+    iterations = options.kills * (ITERATIONS_A_KILL + options.hangs * ITERATIONS_A_HANG)
+    return long_experiment(options.experiment, options.overrides, round(iterations))
 
 
 def run(options: ChaosOptions, say: Callable[[str], None]) -> Report:
