@@ -1,14 +1,12 @@
 """The bus over Eclipse Zenoh. All that a brain says goes through it, and through a router (`zenoh_sessions`).
 
-Callbacks run on Zenoh's threads and only hand raw samples to an inbox; queries are answered by the
-service's own thread in `serve`. Reliable and latched keys use Zenoh's advanced publishers (a cache that
-late joiners and recovery read); latest-value keys drop under congestion unless the bus is `lossless`. What the brain
-itself writes is read by Zenoh's advanced subscribers; what guests write, and a tap, by a `Follower`, whose memory is
-bounded.
+Callbacks run on Zenoh's threads and only hand raw samples to an inbox; queries are answered by the service's own
+thread in `serve`. Reliable and latched keys use Zenoh's advanced publishers (a cache that late joiners and recovery
+read); latest-value keys drop under congestion unless the bus is `lossless`. What the brain itself writes is read by
+Zenoh's advanced subscribers; what guests write, and a tap, by a `Follower`, whose memory is bounded.
 
-Zenoh's recovery cannot tell a reader who missed samples from one who came late: from a reliable publisher who said
-nothing new before his next heartbeat, a late joiner gets all of the cache. So a reader must expect older messages at
-first.
+Zenoh's recovery cannot tell who missed samples from who came late: from a reliable publisher who said nothing new
+before his next heartbeat, a late joiner gets all of the cache. So a reader must expect older messages at first.
 """
 
 from __future__ import annotations
@@ -28,38 +26,29 @@ import zenoh
 from zenoh import ext
 from zenoh.handlers import Callback
 
-from mdb_protocol import codec, endpoints, keys
+from mdb_protocol import codec, endpoints, following, keys
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.bus import Bus, Inbox, Publisher, Tap, pack, read
 from mdb_protocol.errors import BusError, DecodeError, QueryError, UnheardError
-from mdb_protocol.following import (
-    ALL_PAST,
-    ANSWERED_S,
-    NUMBER_BYTES,
-    RECOVERY_S,
-    Follower,
-    Manner,
-    Origin,
-    Wanted,
-)  # fmt: skip
+from mdb_protocol.following import Follower, Manner, Origin, Wanted
 from mdb_protocol.keys import ALIVE, CLAIM, ROOT, Delivery, Key
 from mdb_protocol.messages import Message
 from mdb_protocol.probing import EVERY_S, Probe
 from mdb_protocol.waiting import Raw
-from mdb_protocol.zenoh_sessions import ask_router, open_client
+from mdb_protocol.zenoh_sessions import Router, ask_router, open_client
+
+__all__ = ["DEFAULT_ENDPOINT", "Router", "ZenohBus"]
 
 RELIABLE_CACHE = 256
 """Samples a reliable publisher keeps for readers that missed some."""
 HEARTBEAT_S = 0.25
-"""How often a reliable publisher says how far it is, so that a lost last sample is noticed;
-always, not only when it has sent something since: said while the router is dead, nobody would hear it.
-"""
+"""How often a reliable publisher says how far it is, so that a lost last sample is noticed; always, not only when it
+has sent something since: said while the router is dead, nobody would hear it."""
 ASKED_KEPT = 1024
 """Queries on one row that wait to be answered; who asks then gets no answer."""
 SERVED_AT_ONCE, SERVED_EVERY_S = 16, 0.1
 """Queries on one row answered before the service does its own work again, and how soon more than these: who asks
-without end waits, and is not told at once that there is no answer, for then he would ask again.
-"""
+without end waits. Told at once that there is no answer, he would ask again."""
 TOKENS_S, DEFAULT_ENDPOINT = 2.0, endpoints.USUAL
 
 
@@ -168,22 +157,21 @@ class ZenohBus(Bus):
                 follower.hear(_raw(sample), _origin(sample))
 
         def heartbeat(sample: zenoh.Sample) -> None:
-            if len(number := sample.payload.to_bytes()) == NUMBER_BYTES:
+            if len(number := sample.payload.to_bytes()) == following.NUMBER_BYTES:
                 follower.heartbeat(str(sample.key_expr), int.from_bytes(number, "little"))
 
         for expression, callback in ((key, hand_over), (f"{key}/@adv/pub/**", heartbeat)):
             self._declared.append(self._session.declare_subscriber(expression, Callback(callback, indirect=False)))
         self._followers.append(follower)
         if history:
-            self._ask_past(follower, Wanted(f"{key}/@adv/**?_max={history}", ALL_PAST, lambda: None))
+            self._ask_past(follower, Wanted(f"{key}/@adv/**?_max={history}", following.ALL_PAST, lambda: None))
 
     def _recover(self) -> None:
-        """Ask for what followers miss, and whether the router still gives us anything.
-
-        In a thread of its own, for a query waits where the router takes none.
-        """
+        """Ask for what followers miss, and whether the router gives us anything; in a thread, for asking may wait."""
         while not self._closing.is_set():
-            self._missed.wait(RECOVERY_S if any(follower.missing() for follower in self._followers) else EVERY_S)
+            self._missed.wait(
+                following.RECOVERY_S if any(follower.missing() for follower in self._followers) else EVERY_S
+            )
             self._missed.clear()
             if self._probe.is_due():
                 if self.connected():
@@ -208,7 +196,7 @@ class ZenohBus(Bus):
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 accept_replies=zenoh.ReplyKeyExpr.ANY,
-                timeout=ANSWERED_S,
+                timeout=following.ANSWERED_S,
             )
         except zenoh.ZError:
             wanted.done()
@@ -369,7 +357,7 @@ class ZenohBus(Bus):
         """See `Bus.close`."""
         self._closing.set()
         self._missed.set()
-        self._recovery.join(ANSWERED_S)
+        self._recovery.join(following.ANSWERED_S)
         self._followers.clear()
         for declared in reversed(self._declared):
             with suppress(zenoh.ZError):

@@ -83,7 +83,10 @@ def test_what_does_not_fit_the_robot_is_said_before_anything_is_begun(
         ("evolution.popultion=400", "did you mean 'population'"),
         ("evolution.population=-3", "population"),
         ("experiment.iterations=many", "Expected `int`"),
-        ("model.objekt.capacity=3", "no entry named 'objekt'; did you mean 'object'?"),
+        (
+            "model.objekt.capacity=3",
+            "no entry named 'objekt'; there are communication, object, induced; did you mean 'object'?",
+        ),
         ("channels.action={encoding='one_hot', size=9}", "channels.action has 9 values, and there are 7 [[choice]]"),
         ("optimizer.actions=7", "unknown field `actions`"),
         ("choice.ahead.values.turn=91", "choice 'ahead': turn = 91.0; expected -90.0 to 90.0"),

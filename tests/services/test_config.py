@@ -94,12 +94,15 @@ def test_overrides_reach_their_place(override: str, path: list[Any], value: Any)
         ("evolution.population", "expected SECTION.NAME=VALUE"),
         ("=3", "expected SECTION.NAME=VALUE"),
         ("evolution..population=3", "expected SECTION.NAME=VALUE"),
-        ("model.objekt.hidden=[1]", "no entry named 'objekt'; did you mean 'object'?"),
+        (
+            "model.objekt.hidden=[1]",
+            "no entry named 'objekt'; there are communication, object, induced; did you mean 'object'?",
+        ),
         ("model.object=3", "name the entry"),
         ("experiment.name.first=3", "experiment.name is a value, not a section"),
         ("robot.ends.first=3", "is a list of values, not of named entries"),
         ("robot.ends.first.second=3", "is a list of values, not of named entries"),
-        ("choice.left.values=3", "no entry named 'left'; did you mean 'left 90'?"),
+        ("choice.left.values=3", "no entry named 'left'; there are ahead, right 20"),
     ],
 )
 def test_overrides_that_fit_nowhere_say_so(override: str, said: str) -> None:

@@ -110,7 +110,9 @@ def _by_name(entries: list[Any], name: str, override: str) -> Any:
         if entry.get("name") == name:
             return entry
     names = [str(entry.get("name")) for entry in entries]
-    raise ConfigError(f"--set {override!r}: no entry named {name!r}{nearest(name, names)}")
+    close = close_to(name, names)
+    hint = f"; did you mean {close!r}?" if close else ""
+    raise ConfigError(f"--set {override!r}: no entry named {name!r}; there are {', '.join(names)}{hint}")
 
 
 def _choices(cls: type[Any], said: str) -> str:
