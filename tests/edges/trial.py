@@ -7,7 +7,6 @@ by can be told.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import importlib
 import io
 import os
@@ -105,11 +104,8 @@ def attempt(kind: Kind, name: str, command: str, folder: Path) -> Outcome:
     )
 
 
-def run(words: list[str], *, powerless: bool = False) -> tuple[int, str, float, int]:
-    """Run `mdb` with these words in a fork; return status, what it said, processor time, greatest memory.
-
-    powerless: for it a folder without a right to write is one, also where the tests are root's.
-    """
+def run(words: list[str]) -> tuple[int, str, float, int]:
+    """Run `mdb` with these words in a fork; return status, what it said, processor time, greatest memory."""
     reads, writes = os.pipe()
     sys.stdout.flush()
     pid = os.fork()
@@ -117,8 +113,6 @@ def run(words: list[str], *, powerless: bool = False) -> tuple[int, str, float, 
         status = 70
         try:
             said = io.TextIOWrapper(io.FileIO(writes, "w"), write_through=True, errors="replace")
-            if powerless:
-                _without_powers()
             with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
                 status = _main(words)
         finally:
@@ -131,13 +125,6 @@ def run(words: list[str], *, powerless: bool = False) -> tuple[int, str, float, 
     _, code, used = os.wait4(pid, 0)
     timer.cancel()
     return os.waitstatus_to_exitcode(code), text, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
-
-
-def _without_powers() -> None:
-    """Give up root's powers over files (capset(2), version 3)."""
-    head, none = (ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()
-    if ctypes.CDLL(None, use_errno=True).capset(head, none):
-        raise OSError(ctypes.get_errno(), "capset")
 
 
 def _main(words: list[str]) -> int:
