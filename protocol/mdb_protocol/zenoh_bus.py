@@ -82,6 +82,7 @@ class ZenohBus(Bus):
         self._serves_again_s = 0.0
         self._probe = Probe()
         self._alive: set[str] | None = None
+        self._gone: set[str] = set()
         self._alive_lock = threading.Lock()
         self._followers: list[Follower] = []
         self._missed, self._closing = threading.Event(), threading.Event()
@@ -336,9 +337,9 @@ class ZenohBus(Bus):
             key = ALIVE.at(self.brain)
             on_token = Callback(self._on_token, indirect=False)
             self._declared.append(self._session.liveliness().declare_subscriber(key, on_token, history=True))
-            for reply in self._session.liveliness().get(key, timeout=TOKENS_S):
-                if reply.ok is not None:
-                    self._on_token(reply.ok)
+            found = {name for token in self._tokens(key) if (name := self._alive_name(token)) is not None}
+            with self._alive_lock:  # of who was heard to be gone meanwhile the answer may be older
+                self._alive |= found - self._gone
         with self._alive_lock:
             return frozenset(self._alive)
 
@@ -347,10 +348,11 @@ class ZenohBus(Bus):
         if name is None or self._alive is None:
             return
         with self._alive_lock:
-            if sample.kind == zenoh.SampleKind.PUT:
-                self._alive.add(name)
-            else:
-                self._alive.discard(name)
+            come, gone = (
+                (self._alive, self._gone) if sample.kind == zenoh.SampleKind.PUT else (self._gone, self._alive)
+            )
+            come.add(name)
+            gone.discard(name)
         self._wake.set()
 
     def close(self) -> None:

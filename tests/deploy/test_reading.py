@@ -81,7 +81,14 @@ def looks(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize(
     "words",
-    ["ltm list RUN", "ltm show RUN", "ltm export RUN --out x.ltm", "export RUN", "plot RUN", "replay RUN robot"],
+    [
+        "ltm list RUN",
+        "ltm show RUN",
+        "ltm export RUN --out x.ltm",
+        "export RUN",
+        "plot RUN",
+        "replay RUN robot --tolerance 1e-9",
+    ],
 )
 def test_a_run_in_a_folder_that_takes_nothing_is_read_and_nothing_in_it_changes(anothers: Path, words: str) -> None:
     before = looks(anothers)
