@@ -348,9 +348,8 @@ class ZenohBus(Bus):
         if name is None or self._alive is None:
             return
         with self._alive_lock:
-            come, gone = (
-                (self._alive, self._gone) if sample.kind == zenoh.SampleKind.PUT else (self._gone, self._alive)
-            )
+            here, away = self._alive, self._gone
+            come, gone = (here, away) if sample.kind == zenoh.SampleKind.PUT else (away, here)
             come.add(name)
             gone.discard(name)
         self._wake.set()
