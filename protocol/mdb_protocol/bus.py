@@ -144,9 +144,14 @@ class Inbox(Reader):
         refused = 0
         while waiting := self._next():
             self.taken += len(waiting)
-            valid = [message for raw in reversed(waiting) if (message := self._read(raw)) is not None]
-            if valid:
-                return next(filter(fits, valid), valid[0])
+            newest: Message | None = None
+            for raw in reversed(waiting):
+                if (message := self._read(raw)) is not None:
+                    if fits(message):
+                        return message
+                    newest = newest or message
+            if newest is not None:
+                return newest
             refused += len(waiting)
             if refused >= AT_ONCE:
                 self._wake.set()

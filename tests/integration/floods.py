@@ -68,47 +68,41 @@ def large(session: zenoh.Session, user: User) -> Iterator[Say]:
 
 
 @contextmanager
+def silence(session: zenoh.Session, key: str) -> Iterator[Callable[[], str]]:
+    """A queryable on what recovers a key's samples that never answers; yields publishers' keys that do not exist."""
+    held: list[zenoh.Query] = []
+    silent = session.declare_queryable(f"{key}/@adv/**", zenoh.handlers.Callback(held.append, indirect=False))
+    zid, number = session.info.zid(), count(1)
+    yield lambda: f"{key}/@adv/pub/{zid}/{next(number) % 2**16 + 10}/_"
+    silent.undeclare()
+
+
+@contextmanager
 def gaps(session: zenoh.Session, user: User) -> Iterator[Say]:
     """Samples with gaps in their source's sequence, and a queryable on what recovers them that never answers."""
     row, key, message = own(user)
-    held = []
-    silent = session.declare_queryable(f"{key}/@adv/**", zenoh.handlers.Callback(held.append, indirect=False))
     publisher = session.declare_publisher(key, encoding=codec.encoding_of(type(message)), congestion_control=BLOCK)
     payload, number = codec.encode(message).ljust(row.most_bytes - 2000, b"\x00"), count(0, 2)
-    yield lambda: publisher.put(payload, source_info=zenoh.SourceInfo(publisher.id, next(number)))
-    silent.undeclare()
+    with silence(session, key):
+        yield lambda: publisher.put(payload, source_info=zenoh.SourceInfo(publisher.id, next(number)))
 
 
 @contextmanager
 def heartbeats(session: zenoh.Session, user: User) -> Iterator[Say]:
     """Heartbeats of publishers that do not exist, each ahead of what was said."""
     _, key, _ = own(user)
-    held = []
-    silent = session.declare_queryable(f"{key}/@adv/**", zenoh.handlers.Callback(held.append, indirect=False))
-    zid, number = session.info.zid(), count(1)
-
-    def say() -> None:
-        at = f"{key}/@adv/pub/{zid}/{next(number) % 2**16 + 10}/_"
-        session.put(at, zenoh.ext.z_serialize(zenoh.ext.UInt32(random.randrange(2**31))), congestion_control=BLOCK)
-
-    yield say
-    silent.undeclare()
+    with silence(session, key) as publisher:
+        yield lambda: session.put(
+            publisher(), zenoh.ext.z_serialize(zenoh.ext.UInt32(random.randrange(2**31))), congestion_control=BLOCK
+        )
 
 
 @contextmanager
 def tokens(session: zenoh.Session, user: User) -> Iterator[Say]:
     """Publishers that come and go, whose past nobody gives."""
     _, key, _ = own(user)
-    held = []
-    silent = session.declare_queryable(f"{key}/@adv/**", zenoh.handlers.Callback(held.append, indirect=False))
-    zid, number = session.info.zid(), count(1)
-
-    def say() -> None:
-        at = f"{key}/@adv/pub/{zid}/{next(number) % 2**16 + 10}/_"
-        session.liveliness().declare_token(at).undeclare()
-
-    yield say
-    silent.undeclare()
+    with silence(session, key) as publisher:
+        yield lambda: session.liveliness().declare_token(publisher()).undeclare()
 
 
 @contextmanager

@@ -74,8 +74,6 @@ def _line(error: BaseException, extra: str) -> tuple[str, int]:
         return f"this needs {error.name}, which is not installed: {wanted}", FAILED
     if isinstance(error, OSError):
         return _refused(error), FAILED
-    if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # of Path.resolve
-        return f"{error}; {ANOTHER_PATH}", FAILED
     if isinstance(error, MemoryError):
         return f"there is not enough memory for this; {_whole(error)}", FAILED
     said = " ".join(str(error).split())
