@@ -49,10 +49,12 @@ with ZenohBus("pioneer", sys.argv[1]) as bus:
 """
 A_TEACHERS_LAST = 20
 """Notes that who comes late gets at least: more than one, and no more than were played by then."""
-HELD_UP_S = 0.3
-"""What a stopped reader may cost the others, beyond their usual longest gap."""
+HELD_UP_S = 0.9
+"""What a stopped reader may cost the others, beyond their usual longest gap: the router waits up to four times."""
 BUSY_S = 0.3
 """What other work on this machine may cost."""
+TRIES = 4
+"""A reader that holds others up does so each time; other work on this machine does not."""
 
 
 def status(brain: Brain, bus: ZenohBus, role: str, instance: str) -> messages.Status:
@@ -109,13 +111,17 @@ def test_a_stopped_reader_holds_up_nobody_for_long(tmp_path: Path) -> None:
             ears.listen(2.5)
             return {k.__name__: longest_gap_s(ears.heard, k, began_s, time.monotonic()) for k in kinds}
 
-        with listener(brain, bus) as process, loud_teacher(brain):
-            ears.listen(0.5)
-            usual = gaps()
-            with frozen(process.pid):
-                stopped = gaps()
-        for kind, gap_s in stopped.items():
-            assert gap_s < max(usual[kind], BUSY_S) + HELD_UP_S, (kind, usual, stopped)
+        tries = []
+        for _ in range(TRIES):
+            with listener(brain, bus) as process, loud_teacher(brain):
+                ears.listen(0.5)
+                usual = gaps()
+                with frozen(process.pid):
+                    stopped = gaps()
+            tries.append((usual, stopped))
+            if held := all(stopped[kind] < max(usual[kind], BUSY_S) + HELD_UP_S for kind in usual):
+                break
+        assert held, tries
         goes_on(ears)
 
 

@@ -135,7 +135,7 @@ def test_brains_of_different_names_live_on_one_router_and_the_second_of_a_name_i
         iteration_after(bus, bus.subscriber(keys.ITERATION), 3)
         run = first.run
         endpoint = (run / "router.endpoint").read_text()
-        second = up(endpoint, tmp_path / "other", settings=("experiment.brain=other",))
+        second = up(endpoint, tmp_path / "other", settings=(*LONG, "experiment.brain=other"))
         try:
             with ZenohBus("other", endpoint) as others:
                 iteration_after(others, others.subscriber(keys.ITERATION), 3)
