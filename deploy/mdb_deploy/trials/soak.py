@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mdb_deploy.trials.chaos_report import yes
 from mdb_deploy.trials.evidence import Findings, compare
-from mdb_deploy.trials.under_test import BrainUnderTest, long_experiment, stop_on_sigterm
+from mdb_deploy.trials.under_test import BrainError, BrainUnderTest, long_experiment, stop_on_sigterm
 from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_sim.figures.four_to_six import need_matplotlib, save
 
@@ -119,7 +119,7 @@ def run(options: SoakOptions, say: Callable[[str], None]) -> Soak:
             if now_s >= len(rows) * EVERY_S:
                 rows.append((now_s, brain.iteration))
                 for name, process in watched.items():
-                    samples[name].append(_sample(process))
+                    samples[name].append(_sample(name, process))
             brain.look()
             brain.check_alive()
             time.sleep(0.05)
@@ -130,9 +130,15 @@ def run(options: SoakOptions, say: Callable[[str], None]) -> Soak:
     return Soak(times_s, iterations, columns, findings, (load_before, os.getloadavg()[0]))
 
 
-def _sample(process: psutil.Process) -> tuple[float, float, float]:
-    with process.oneshot():
-        return process.memory_info().rss / 1e6, process.num_threads(), process.num_fds()
+def _sample(name: str, process: psutil.Process) -> tuple[float, float, float]:
+    try:
+        with process.oneshot():
+            return process.memory_info().rss / 1e6, process.num_threads(), process.num_fds()
+    except psutil.NoSuchProcess as error:
+        raise BrainError(
+            f"{name} was replaced, so that its growth cannot be told; its log in the run folder says why. Measure on "
+            "a machine that does nothing else"
+        ) from error
 
 
 def command(options: SoakOptions) -> int:
