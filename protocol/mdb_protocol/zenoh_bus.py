@@ -102,7 +102,6 @@ class ZenohBus(Bus):
             encoding=codec.encoding_of(row.message),
             congestion_control=zenoh.CongestionControl.DROP if drops else zenoh.CongestionControl.BLOCK,
             priority=zenoh.Priority.DATA_HIGH,  # `zenoh_sessions.CONTROL`
-            express=True,
             cache=ext.CacheConfig(1 if row.delivery is Delivery.LATEST else RELIABLE_CACHE),
             sample_miss_detection=_heartbeat(row),
             publisher_detection=not row.guests_write,  # of guests it is heard by their heartbeats

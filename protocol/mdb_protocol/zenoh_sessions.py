@@ -31,7 +31,7 @@ SHORT = {"so_sndbuf": 2**15, "so_rcvbuf": 2**15}
 """Bytes in the system's hands on the way. They cannot be overtaken: what a flood puts there, all else waits for."""
 CONTROL, WAITING = "data_high", 16
 """The priority of what we say, which overtakes at each hop what strangers say with Zenoh's usual one, or guests, whom
-a router with keys gives that one; and the parts of `batch_size` that may wait there before a latest value is dropped.
+a router with keys gives that one; and the batches that may wait there before a latest value is dropped.
 """
 ROUTER_THREADS = "(rx: (worker_threads: 8))"
 """One that forwards to a reader who takes nothing waits; with Zenoh's two, so do all."""
