@@ -40,6 +40,9 @@ GROWTH = 0.05
 RUNNER = "mdb up"
 FIGURES = {"memory": "resident memory, MB", "threads": "threads", "files": "open files"}
 
+GONE = (math.nan, math.nan, math.nan)
+"""In place of the figures of a process that has died."""
+
 Samples = dict[str, NDArray[np.float64]]
 """By figure: samples (n,) of one process."""
 
@@ -128,7 +131,7 @@ def run(options: SoakOptions, say: Callable[[str], None]) -> Soak:
                     try:
                         samples[name].append(_sample(process))
                     except psutil.NoSuchProcess:
-                        samples[name].append((math.nan,) * len(FIGURES))
+                        samples[name].append(GONE)
                         replaced.add(name)
                 watched.update({n: process for n, process in brain.processes().items() if n in replaced})
             brain.look()
