@@ -55,7 +55,7 @@ def test_our_own_robot_does_all_its_duties(endpoint: str, tmp_path: Path) -> Non
         result = mdb("check-robot", "--connect", endpoint, *settings)
     finally:
         robot.terminate()
-        robot.wait(10.0)
+        robot.wait(20.0)
     assert result.returncode == 0, result.stdout + result.stderr
 
 

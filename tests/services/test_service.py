@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 
@@ -180,3 +182,25 @@ def test_inline_services_step_in_turn_and_close_all_even_when_one_fails() -> Non
     assert order == [0, 1, 2, 0, 1, 2]
     assert [probe.closed for probe in probes] == [1, 1, 1]
     assert fabric.buses == []
+
+
+HANGS = """
+import time
+from mdb_services.shell.service import Stopper
+stop = Stopper(bound_s=0.3)
+stop.install()
+print("ready", flush=True)
+while not stop():
+    time.sleep(0.01)
+time.sleep(600)
+"""
+
+
+def test_a_process_that_is_told_to_stop_and_does_not_come_to_its_end_leaves_as_it_is() -> None:
+    with subprocess.Popen([sys.executable, "-c", HANGS], stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGTERM)
+        said, _ = process.communicate(timeout=30.0)
+    assert process.returncode == 1
+    assert b"leaves as it is" in said

@@ -51,14 +51,14 @@ def _run(arguments: argparse.Namespace) -> int:
     from mdb_deploy.running.processes import SERVICES, RouterOptions, ServiceOptions, run_router, run_service
     from mdb_deploy.running.unattended import run_unattended
     from mdb_services.experiment.reading import nearest
-    from mdb_services.shell.heartbeat import START_S, Heart
+    from mdb_services.shell.heartbeat import CLOSE_S, START_S, Heart
     from mdb_services.shell.service import Stopper
 
     heart = Heart.inherited()
     if arguments.unattended and not heart.is_felt:
         return run_unattended(sys.argv[1:])
     heart.beat(START_S)
-    stop = Stopper(arguments.with_parent)
+    stop = Stopper(arguments.with_parent, bound_s=CLOSE_S)
     stop.install()
     run, keys, until_finished = arguments.run, arguments.keys, arguments.until_finished
     if arguments.service == "router":

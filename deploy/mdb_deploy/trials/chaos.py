@@ -33,9 +33,9 @@ TOGETHER = 0.2
 """How often a second process is killed before the first has recovered ..."""
 TOGETHER_S = 0.5
 """... at most this much later."""
-ITERATIONS_A_KILL = 120
+ITERATIONS_A_KILL = 500
 """Enough of an experiment for each kill: some two seconds at the shipped 0.05 s an action and a slow recovery."""
-ITERATIONS_A_HANG = 600
+ITERATIONS_A_HANG = 2500
 """So many more for one that hangs: some of them hold up nobody until they are replaced."""
 ALONE_S = 0.2
 """What the robot shows for so long after its commander's token is gone may have been under way."""

@@ -11,6 +11,7 @@ import os
 import signal
 import socket
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -59,10 +60,15 @@ class Service(Protocol):
 class Stopper:
     """Remembers that SIGTERM or SIGINT came, or that the parent process is gone."""
 
-    def __init__(self, parent: int | None = None) -> None:
-        """Stop with the parent process of this id, if one is given; it may be gone before we have asked for ours."""
+    def __init__(self, parent: int | None = None, *, bound_s: float | None = None) -> None:
+        """Stop with the parent process of this id, if one is given; it may be gone before we have asked for ours.
+
+        `bound_s`: from when it is first said that it is time, the process has so long to close; then it is left as it
+        is. Closing a session has been seen to wait for ever (Zenoh 1.10, once in some hundred).
+        """
         self._told = False
         self._parent = parent
+        self._bound_s = bound_s
 
     def install(self) -> None:
         """Take over the signals; the handler only sets a flag, so it can never block."""
@@ -74,7 +80,18 @@ class Stopper:
 
     def __call__(self) -> bool:
         """Return whether to stop."""
-        return self._told or (self._parent is not None and os.getppid() != self._parent)
+        stop = self._told or (self._parent is not None and os.getppid() != self._parent)
+        if stop and self._bound_s is not None:
+            leaving = threading.Timer(self._bound_s, _leave)
+            leaving.daemon = True
+            leaving.start()
+            self._bound_s = None
+        return stop
+
+
+def _leave() -> None:
+    log.error("closing does not come to an end: this process leaves as it is")
+    os._exit(1)
 
 
 @runtime_checkable
