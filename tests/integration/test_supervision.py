@@ -95,7 +95,8 @@ def read_only(folder: Path) -> Iterator[None]:
     """Mount a folder over itself, read-only."""
     subprocess.run(["mount", "--bind", folder, folder], check=True)
     try:
-        subprocess.run(["mount", "-o", "remount,bind,ro", folder], check=True)
+        remount = ["mount", "-o", "remount,bind,ro", folder]  # refused while somebody writes a file there
+        until(lambda: subprocess.run(remount, capture_output=True, check=False).returncode == 0, 10.0)
         yield
     finally:
         subprocess.run(["umount", "--lazy", folder], check=True)
