@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import os
 import sys
 import time
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 
 from mdb_deploy.trials.chaos_report import yes
 from mdb_deploy.trials.evidence import Findings, compare
-from mdb_deploy.trials.under_test import BrainUnderTest, long_experiment, stop_on_sigterm
+from mdb_deploy.trials.under_test import BrainError, BrainUnderTest, long_experiment, stop_on_sigterm
 from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_sim.figures.four_to_six import need_matplotlib, save
 
@@ -39,9 +38,6 @@ GROWTH = 0.05
 """What no process's figure may grow by."""
 RUNNER = "mdb up"
 FIGURES = {"memory": "resident memory, MB", "threads": "threads", "files": "open files"}
-
-GONE = (math.nan, math.nan, math.nan)
-"""In place of the figures of a process that has died."""
 
 Samples = dict[str, NDArray[np.float64]]
 """By figure: samples (n,) of one process."""
@@ -66,15 +62,11 @@ class Soak:
     processes: Mapping[str, Samples]
     findings: Findings
     loads: tuple[float, float]
-    replaced: frozenset[str] = frozenset()
-    """Processes that died meanwhile; the growth of such a one is that of two."""
 
     def growth(self, process: str, figure: str) -> float:
         """Return by how much the last fifth is above the second, as a fraction."""
         parts = np.array_split(self.processes[process][figure], PARTS)
-        if not len(parts[1]) or not np.isfinite(parts[1]).any():
-            return 0.0
-        return float(np.nanmean(parts[-1]) / np.nanmean(parts[1]) - 1.0)
+        return float(parts[-1].mean() / parts[1].mean() - 1.0) if len(parts[1]) and parts[1].mean() else 0.0
 
     @property
     def worst(self) -> float:
@@ -91,7 +83,7 @@ class Soak:
         took_s = float(self.times_s[-1] - self.times_s[0])
         rows = []
         for name, samples in self.processes.items():
-            last = {figure: np.nanmean(np.array_split(samples[figure], PARTS)[-1]) for figure in FIGURES}
+            last = {figure: np.array_split(samples[figure], PARTS)[-1].mean() for figure in FIGURES}
             cells = [f"{last[figure]:.0f} | {self.growth(name, figure):+.1%}" for figure in FIGURES]
             rows.append(f"| {name} | {' | '.join(cells)} |")
         return "\n".join(
@@ -106,7 +98,7 @@ class Soak:
                 "",
                 f"Greatest growth from the second to the last fifth: {self.worst:.1%}; less than {GROWTH:.0%}: "
                 f"{yes(self.worst < GROWTH)}. Acknowledged pairs lost: {len(self.findings.lost)} of "
-                f"{self.findings.acknowledged}. Replaced meanwhile: {', '.join(sorted(self.replaced)) or 'nobody'}.",
+                f"{self.findings.acknowledged}.",
             ]
         )
 
@@ -121,19 +113,13 @@ def run(options: SoakOptions, say: Callable[[str], None]) -> Soak:
         say(f"watching {brain.run} for {options.minutes:g} min")
         watched = {**brain.processes(), RUNNER: psutil.Process(brain.process.pid)}
         rows: list[tuple[float, int]] = []
-        replaced: set[str] = set()
         samples: dict[str, list[tuple[float, float, float]]] = {name: [] for name in watched}
         began_s = time.monotonic()
         while (now_s := time.monotonic() - began_s) < options.minutes * 60 and not brain.finished:
             if now_s >= len(rows) * EVERY_S:
                 rows.append((now_s, brain.iteration))
                 for name, process in watched.items():
-                    try:
-                        samples[name].append(_sample(process))
-                    except psutil.NoSuchProcess:
-                        samples[name].append(GONE)
-                        replaced.add(name)
-                watched.update({n: process for n, process in brain.processes().items() if n in replaced})
+                    samples[name].append(_sample(name, process))
             brain.look()
             brain.check_alive()
             time.sleep(0.05)
@@ -141,12 +127,18 @@ def run(options: SoakOptions, say: Callable[[str], None]) -> Soak:
         findings = compare(brain.witness_file, brain.run / MEMORY_FILE)
     columns = {n: dict(zip(FIGURES, np.array(s, dtype=np.float64).T, strict=True)) for n, s in samples.items()}
     times_s, iterations = np.array(rows, dtype=np.float64).T
-    return Soak(times_s, iterations, columns, findings, (load_before, os.getloadavg()[0]), frozenset(replaced))
+    return Soak(times_s, iterations, columns, findings, (load_before, os.getloadavg()[0]))
 
 
-def _sample(process: psutil.Process) -> tuple[float, float, float]:
-    with process.oneshot():
-        return process.memory_info().rss / 1e6, process.num_threads(), process.num_fds()
+def _sample(name: str, process: psutil.Process) -> tuple[float, float, float]:
+    try:
+        with process.oneshot():
+            return process.memory_info().rss / 1e6, process.num_threads(), process.num_fds()
+    except psutil.NoSuchProcess as error:
+        raise BrainError(
+            f"{name} was replaced, so that its growth cannot be told; its log in the run folder says why. Measure on "
+            "a machine that does nothing else"
+        ) from error
 
 
 def command(options: SoakOptions) -> int:
