@@ -17,12 +17,11 @@ import zenoh
 
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import TAPPED
-from mdb_protocol.keys import Delivery
 from mdb_protocol.waiting import Raw
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import MEMORY_FILE
 from tests.integration.brain import BRAIN, Brain, until
-from tests.integration.junk import Maker
+from tests.integration.junk import LATEST_READERS, READERS, Maker, Reads
 from tests.integration.test_survival import LONG
 
 pytestmark = pytest.mark.long
@@ -121,39 +120,26 @@ def test_junk_of_every_kind_on_every_key_is_counted_and_changes_nothing(tmp_path
         session.delete(f"mdb/{BRAIN}/**")
         watch.check()
         found = statuses(bus)
-    for name, row in (
-        ("robot/body", keys.ACTION),
-        ("optimizer/action", keys.PERCEPTION),
-        ("teacher/script", keys.SCENE),
-    ):
-        assert found[name].refused.get(row.path, 0) > 0, "of latest values not all is read"
-        assert row.delivery is Delivery.LATEST
+    for role, instance, row in LATEST_READERS:
+        assert found[f"{role}/{instance}"].refused.get(row.path, 0) > 0, "of latest values not all is read"
     assert sum(sent.values()) == ROUNDS * AT_ONCE
     assert set(sent) == {row.path for row in keys.KEYS} | {TAPPED}
 
 
-ALL_READ = (
-    ("optimizer/action", keys.COMMAND),
-    ("optimizer/action", keys.HEARD),
-    ("optimizer/action", keys.FEEDBACK),
-    ("optimizer/action", keys.PAIR_STORED),
-    ("optimizer/action", keys.CURRENT_MODEL),
-    ("memory/store", keys.PAIR),
-    ("memory/store", keys.CURRENT_MODEL),
-    ("evolver/object", keys.MEMORY_CHANGE),
-    *(("recorder/log", row) for row in keys.KEYS if row.recorded),
-)
+ALL_READ = (*READERS, *(Reads("recorder", "log", row) for row in keys.KEYS if row.recorded))
 """Who reads every message of which key."""
 
 
 def send_until_counted(bus: ZenohBus, session: zenoh.Session, some: list[Raw], unreadable: Counter[str]) -> None:
     """Send messages until all their readers have refused all that cannot be read."""
 
-    def uncounted() -> dict[tuple[str, str], int]:
-        found = statuses(bus)
-        counts = {(name, row.path): found[name].refused.get(row.path, 0) for name, row in ALL_READ if name in found}
-        wanted = {(name, row.path): unreadable[row.path] for name, row in ALL_READ}
-        return {key: counts.get(key, 0) - number for key, number in wanted.items() if counts.get(key, 0) < number}
+    def uncounted() -> list[str]:
+        refused = {name: status.refused for name, status in statuses(bus).items()}
+        return [
+            f"{name}: {row.path}"
+            for role, instance, row in ALL_READ
+            if refused.get(name := f"{role}/{instance}", {}).get(row.path, 0) < unreadable[row.path]
+        ]
 
     for _ in range(SAID_AGAIN):
         for raw in some:

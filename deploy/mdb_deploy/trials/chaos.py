@@ -34,7 +34,7 @@ TOGETHER = 0.2
 TOGETHER_S = 0.5
 """... at most this much later."""
 ITERATIONS_A_KILL = 500
-"""Enough of an experiment for each kill: some two seconds at the shipped 0.05 s an action and a slow recovery."""
+"""More of an experiment than a kill and a slow recovery take at full speed: it is interrupted after the last one."""
 ITERATIONS_A_HANG = 2500
 """So many more for one that hangs: some of them hold up nobody until they are replaced."""
 ALONE_S = 0.2

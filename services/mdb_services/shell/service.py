@@ -64,7 +64,7 @@ class Stopper:
         """Stop with the parent process of this id, if one is given; it may be gone before we have asked for ours.
 
         `bound_s`: from when it is first said that it is time, the process has so long to close; then it is left as it
-        is. Closing a session has been seen to wait for ever (Zenoh 1.10, once in some hundred).
+        is. A robot without a supervisor was once not at its end 10 s after it was told; 44 others took 0.3 s at most.
         """
         self._told = False
         self._parent = parent
