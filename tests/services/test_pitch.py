@@ -312,3 +312,12 @@ def _table(ear: EarSection, seeds: range) -> None:
                 cells.append(f"{around[0]}{snr_db:.0f} {100 * heard / len(seeds) / len(NOTES):5.1f}")
         sys.stdout.write(f"{instrument:>9} {'  '.join(cells)}\n")
     sys.stdout.write(f"{ear.detector}: {1000 * analysis_s / sound_s:.1f} ms of processor time per second of sound\n")
+
+
+@pytest.mark.parametrize("rate_hz", [8000, 16_000, 48_000])
+def test_a_template_has_each_partial_with_its_whole_lobe_and_nothing_else(rate_hz: int) -> None:
+    pitches_hz, weights = np.geomspace(60.0, 2000.0, 40), np.arange(8.0, 0.0, -1.0)
+    size = round(EAR.window_s * rate_hz)
+    bins = np.arange(size // 2 + 1)
+    lobes = (w * pitch._main_lobe(bins - k * pitches_hz[:, None] * size / rate_hz) for k, w in enumerate(weights, 1))
+    np.testing.assert_array_equal(pitch._combs(pitches_hz, weights, size, rate_hz), sum(lobes))

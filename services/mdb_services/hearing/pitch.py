@@ -36,6 +36,8 @@ TIMBRES = np.array(
 )
 """Amplitudes of the partials in four templates of each pitch: falling, loudest at the second or at the fourth, odd.
 With the first alone voices and reeds whose fundamental is weak are heard an octave too high, or not at all."""
+LOBE_BINS = 2
+"""On each side of a partial: within them lies nearly all of a Hann window's spectrum."""
 LOWEST_BINS = 4.0
 """Below so many bins of the spectrum the partials of a pitch cannot be told apart."""
 CANDIDATE_CENTS = 10.0
@@ -129,17 +131,20 @@ def _spectrum(samples: Samples) -> Samples:
 
 def _combs(pitches_hz: Samples, weights: Samples, size: int, rate_hz: int) -> Samples:
     """Return the spectra (p, size // 2 + 1) of tones at these pitches (p,) with partials of these weights."""
-    bins = np.arange(size // 2 + 1)
-    combs = np.zeros((len(pitches_hz), len(bins)))
+    combs = np.zeros((len(pitches_hz), size // 2 + 1))
     for k, weight in enumerate(weights, 1):
-        combs += weight * _main_lobe(bins - k * pitches_hz[:, None] * size / rate_hz)
+        centres = k * pitches_hz[:, None] * size / rate_hz
+        bins = np.ceil(centres - LOBE_BINS).astype(np.int64) + np.arange(2 * LOBE_BINS + 1)
+        rows, places = np.nonzero((bins >= 0) & (bins < combs.shape[1]))
+        near = bins[rows, places]
+        combs[rows, near] += weight * _main_lobe(near - centres[rows, 0])
     return combs
 
 
 def _main_lobe(offset_bins: Samples) -> Samples:
-    """The spectrum of a Hann window, within the two bins on each side that hold nearly all of it."""
+    """The spectrum of a Hann window, within `LOBE_BINS`."""
     inside = np.where(np.abs(np.abs(offset_bins) - 1.0) < 1e-6, 1.0 + 1e-5, offset_bins)
-    return np.asarray(np.where(np.abs(inside) < 2.0, np.sinc(inside) / (1.0 - np.square(inside)), 0.0))
+    return np.asarray(np.where(np.abs(inside) < LOBE_BINS, np.sinc(inside) / (1.0 - np.square(inside)), 0.0))
 
 
 @lru_cache(maxsize=8)
