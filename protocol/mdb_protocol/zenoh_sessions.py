@@ -35,6 +35,7 @@ a router with keys gives that one; and the batches that may wait there before a 
 """
 ROUTER_THREADS = "(rx: (worker_threads: 8))"
 """One that forwards to a reader who takes nothing waits; with Zenoh's two, so do all."""
+LIBC = ctypes.CDLL(None)
 MALLOPT = ((-8, 2), (-3, 2**20), (-1, 2**20))
 """glibc's M_ARENA_MAX, M_MMAP_THRESHOLD and M_TRIM_THRESHOLD, for a router: what large messages and many short-lived
 keys took goes back to the system, where it stayed (100 MB after a minute of floods).
@@ -128,7 +129,7 @@ class Router:
         """
         endpoints.check(listen or endpoints.USUAL, listens=True)
         os.environ.setdefault("ZENOH_RUNTIME", ROUTER_THREADS)
-        _give_memory_back()
+        _keep_little_memory()
         try:
             config = zenoh.Config.from_file(str(config_file))
             if listen:
@@ -162,6 +163,16 @@ class Router:
         """Whether the router's own threads answer a query; waits `ADMIN_S` at most."""
         return any(reply.ok is not None for reply in self._session.get(ADMIN, timeout=ADMIN_S))
 
+    @staticmethod
+    def give_memory_back() -> None:
+        """Give what is free of this process back to the system, in 0.14 ms; another C library than glibc keeps it.
+
+        With `MALLOPT` alone the router had grown by 64 MB after 88 floods of guests'; with this too nobody by more
+        than 14 after 110.
+        """
+        if hasattr(LIBC, "malloc_trim"):
+            LIBC.malloc_trim(0)
+
     def _on_this_machine(self, locators: list[str]) -> str:
         """Undo that a router which listens on all addresses names the outer ones only."""
         asked, first = endpoints.parse(self.listen), endpoints.parse(locators[0])
@@ -174,12 +185,11 @@ class Router:
         self._session.close()  # type: ignore[no-untyped-call]
 
 
-def _give_memory_back() -> None:
+def _keep_little_memory() -> None:
     """Tell the C library to; another than glibc is left as it is."""
-    library = ctypes.CDLL(None)
-    if sys.platform == "linux" and hasattr(library, "mallopt"):
+    if sys.platform == "linux" and hasattr(LIBC, "mallopt"):
         for parameter, value in MALLOPT:
-            library.mallopt(parameter, value)
+            LIBC.mallopt(parameter, value)
 
 
 def _first_line(error: Exception) -> str:
