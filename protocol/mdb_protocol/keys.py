@@ -121,12 +121,22 @@ CHANGE = Key(
     repeatable=False,
     most_hz=20,
 )
+CONTROL = Key(
+    "control",
+    m.Control,
+    "that operator",
+    Delivery.LATCHED,
+    "how the run is to go on: paused, at which pace, with the scripted teacher or without, phases ended early",
+    repeatable=False,
+    most_hz=20,
+    teachers_read=True,
+)
 COMMAND = Key(
     "teacher/{teacher}/command",
     m.Command,
     "that teacher",
     Delivery.LATCHED,
-    "a note, or silence",
+    'a note, or silence, or "wait for me"',
     late_joiner="the last 32",
     history=32,
     most_bytes=TINY,
@@ -137,7 +147,7 @@ FEEDBACK = Key(
     m.Feedback,
     "that teacher",
     Delivery.LATCHED,
-    "reward or punishment",
+    'reward or punishment, or "wait for me"',
     late_joiner="the last 32",
     history=32,
     most_bytes=TINY,
@@ -304,9 +314,9 @@ CLAIM = Key(
 )
 
 KEYS = (
-    PERCEPTION, SCENE, PICTURE, CHANGE, ACTION, COMMAND, FEEDBACK, LESSON, AUDIO, HEARD, PHASE, PAIR, PAIR_STORED,
-    MEMORY_CHANGE, MEMORY_SNAPSHOT, CONTEXT, CURRENT_MODEL, KEPT_MODEL, CHECKPOINT, RESUME, PROGRESS, ITERATION,
-    TIMING, FINISHED, STATUS, ALIVE, CLAIM,
+    PERCEPTION, SCENE, PICTURE, CHANGE, CONTROL, ACTION, COMMAND, FEEDBACK, LESSON, AUDIO, HEARD, PHASE, PAIR,
+    PAIR_STORED, MEMORY_CHANGE, MEMORY_SNAPSHOT, CONTEXT, CURRENT_MODEL, KEPT_MODEL, CHECKPOINT, RESUME, PROGRESS,
+    ITERATION, TIMING, FINISHED, STATUS, ALIVE, CLAIM,
 )  # fmt: skip
 
 

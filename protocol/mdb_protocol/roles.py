@@ -1,5 +1,5 @@
 """Who may write and read what, by the key table: the brain all, a teacher writes what is his, a viewer only reads, an
-operator may change the robot.
+operator may change the robot and how the run goes on.
 
 Owns the rules, not their enforcement: that is the router's, by the certificate a client shows. A client asks here
 first, because the router drops what it denies without a word.

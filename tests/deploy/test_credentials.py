@@ -211,7 +211,7 @@ def test_the_access_control_gives_each_role_its_own_keys(folder: KeyFolder) -> N
     assert section["enabled"] is True
     assert section["default_permission"] == "deny"
     taught = ["teacher/anna/command", "teacher/anna/feedback", "teacher/anna/lesson", "teacher/anna/audio"]
-    for who, said in (("teacher/anna", taught), ("viewer/tom", []), ("operator/eve", ["change"])):
+    for who, said in (("teacher/anna", taught), ("viewer/tom", []), ("operator/eve", ["change", "control"])):
         samples = {f"mdb/pioneer/{key}" for key in said}
         past, status = {f"{key}/@adv/**" for key in samples}, {f"mdb/pioneer/status/{who}"}
         for message, expected in (

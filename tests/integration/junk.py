@@ -53,6 +53,7 @@ GIVEN: tuple[Message, ...] = (
     messages.Phase(iteration=0, name="junk"),
     messages.Lesson(teacher="anna", iteration=0, commands=["junk"], notes=[0]),
     messages.Change(settings={"junk": 1.0}),
+    messages.Control(iteration=0),
     PAIR,
     messages.PairStored(iteration=FAR, versions={"object": FAR}),
     messages.MemoryChange(

@@ -183,6 +183,7 @@ SCENE = messages.Scene(
 )
 PICTURE = messages.Picture(iteration=1)
 CHANGE = messages.Change(settings={"swapped": True})
+CONTROL = messages.Control(iteration=3, paused=True)
 FORBIDDEN: dict[str, tuple[str, Message]] = {
     "an action": (keys.ACTION.at(BRAIN), ACTION),
     "a model": (keys.CURRENT_MODEL.at(BRAIN, model="object"), MODEL),
@@ -190,6 +191,7 @@ FORBIDDEN: dict[str, tuple[str, Message]] = {
     "a scene": (keys.SCENE.at(BRAIN), SCENE),
     "a picture": (keys.PICTURE.at(BRAIN), PICTURE),
     "a change of the robot": (keys.CHANGE.at(BRAIN), CHANGE),
+    "a change of the run": (keys.CONTROL.at(BRAIN), CONTROL),
     "another teacher's lesson": (
         keys.LESSON.at(BRAIN, teacher="bert"),
         messages.Lesson(teacher="bert", iteration=1, commands=["go"], notes=[0]),
@@ -273,15 +275,16 @@ def test_neither_a_viewer_nor_another_teacher_writes_for_anna(name: str, place: 
         assert ear.heard() == [keys.COMMAND.at(BRAIN, teacher="anna")]
 
 
-def test_an_operator_changes_the_robot_and_writes_nothing_else(place: Place, ear: Ear) -> None:
-    rows = [row for row in keys.KEYS if row.message is not None and row is not keys.CHANGE]
+def test_an_operator_changes_the_robot_and_the_run_and_writes_nothing_else(place: Place, ear: Ear) -> None:
+    rows = [row for row in keys.KEYS if row.message is not None and row not in (keys.CHANGE, keys.CONTROL)]
     others = [row.at(BRAIN, **dict.fromkeys(row.parameters, "anna")) for row in rows]
     with place.session("olga") as olga:
         kept = [put_so(olga, key, command(1)) for key in others for put_so in PUTS]
-        kept.append(put(olga, keys.CHANGE.at("other"), CHANGE))
+        kept += [put(olga, row.at("other"), said) for row, said in ((keys.CHANGE, CHANGE), (keys.CONTROL, CONTROL))]
         put(olga, keys.CHANGE.at(BRAIN), CHANGE)
+        put(olga, keys.CONTROL.at(BRAIN), CONTROL)
         passed(olga, ear)
-        assert ear.heard() == [keys.CHANGE.at(BRAIN)]
+        assert ear.heard() == [keys.CHANGE.at(BRAIN), keys.CONTROL.at(BRAIN)]
 
 
 def test_nobody_else_is_present_in_anothers_name(place: Place, ear: Ear) -> None:

@@ -194,10 +194,12 @@ SAMPLES: dict[type[Message], st.SearchStrategy[Message]] = {
         messages.Picture, iteration=COUNTS, drawing=st.none() | DRAWINGS, image=st.none() | IMAGES
     ),
     messages.Action: ACTION_MESSAGES,
-    messages.Command: st.builds(messages.Command, teacher=NAMES, iteration=COUNTS, note=NOTES),
+    messages.Command: st.builds(messages.Command, teacher=NAMES, iteration=COUNTS, note=NOTES)
+    | st.builds(messages.Command, teacher=NAMES, iteration=COUNTS, note=st.none(), later=st.just(True)),
     messages.Feedback: st.builds(
         messages.Feedback, teacher=NAMES, iteration=st.none() | COUNTS, value=st.none() | SHARES
-    ),
+    )
+    | st.builds(messages.Feedback, teacher=NAMES, iteration=COUNTS, value=st.none(), later=st.just(True)),
     messages.AudioFrame: st.builds(
         messages.AudioFrame,
         teacher=NAMES,
@@ -285,6 +287,14 @@ SAMPLES[messages.Change] = st.builds(
         min_size=1,
         max_size=4,
     ),
+)
+SAMPLES[messages.Control] = st.builds(
+    messages.Control,
+    iteration=COUNTS,
+    paused=st.booleans(),
+    action_s=st.none() | st.floats(0, messages.MAX_ACTION_S),
+    script=st.booleans(),
+    ended=st.lists(COUNTS, max_size=5),
 )
 SAMPLES[messages.Lesson] = st.lists(st.integers(0, 127), unique=True, max_size=5).flatmap(
     lambda notes: st.builds(

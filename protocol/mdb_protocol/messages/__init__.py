@@ -25,6 +25,7 @@ from mdb_protocol.messages.basics import (
     Versions,
     check_array,
     check_finite,
+    check_later,
     check_rows,
     check_stamp,
     check_weights,
@@ -46,12 +47,15 @@ from mdb_protocol.messages.memory import (
 )
 from mdb_protocol.messages.reports import Finished, IterationReport, Status, Timing
 from mdb_protocol.messages.world import (
+    MAX_ACTION_S,
+    MAX_ENDED,
     MAX_FRAME,
     MAX_IMAGE,
     Action,
     AudioFrame,
     Change,
     Command,
+    Control,
     Drawing,
     Feedback,
     Intention,
@@ -65,6 +69,8 @@ from mdb_protocol.messages.world import (
 )
 
 __all__ = [
+    "MAX_ACTION_S",
+    "MAX_ENDED",
     "MAX_FRAME",
     "MAX_IMAGE",
     "MOST_SUPPORT",
@@ -77,6 +83,7 @@ __all__ = [
     "Choice",
     "Command",
     "ContextEvent",
+    "Control",
     "Count",
     "CurrentModel",
     "Drawing",
@@ -117,6 +124,7 @@ __all__ = [
     "Versions",
     "check_array",
     "check_finite",
+    "check_later",
     "check_rows",
     "check_stamp",
     "check_weights",

@@ -53,6 +53,12 @@ def check_stamp(stamp: float) -> None:
         raise ValueError(f"stamp is {stamp!r}; expected a finite number of seconds")
 
 
+def check_later(later: bool, what: str, value: float | None) -> None:
+    """Raise ValueError when somebody asks to be waited for, and says at once what is waited for."""
+    if later and value is not None:
+        raise ValueError(f"later is true and {what} is {value!r}; expected no {what} where it is to be waited for")
+
+
 def check_array(what: str, array: np.ndarray, kind: str, ndim: int) -> None:
     """Raise ValueError unless `array` has the dtype kind ("f", "i", "u"), dimensions and finite values."""
     if array.dtype.kind != kind or array.ndim != ndim:

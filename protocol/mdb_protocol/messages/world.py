@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 
@@ -22,6 +23,7 @@ from mdb_protocol.messages.basics import (
     Versions,
     check_array,
     check_finite,
+    check_later,
     check_stamp,
 )
 
@@ -29,6 +31,10 @@ MAX_IMAGE = 256
 """Rows or columns of an image, at most."""
 MAX_FRAME = 48_000
 """Samples in one frame of sound; a second at the highest rate."""
+MAX_ACTION_S = 60.0
+"""Least time of an action that an operator may ask for, at most."""
+MAX_ENDED = 256
+"""Phases that may be ended early."""
 
 
 class Intention(Message, frozen=True, kw_only=True):
@@ -137,6 +143,26 @@ class Change(Message, frozen=True, kw_only=True):
         check_finite("settings", numbers)
 
 
+class Control(Message, frozen=True, kw_only=True):
+    """How the run is to go on, as an operator wants it: the whole of it, so the last one counts.
+
+    `iteration`: when it was said. `paused`: the robot takes no action. `action_s`: the least time of an action in
+    seconds; None: as the experiment file says. `script`: whether the experiment's own scripted teacher teaches.
+    `ended`: the phase that goes on at each of these iterations ends with it; the next phase begins with the next
+    iteration, and all later ones begin earlier by as much. An operator who wants one of these changed says the others
+    as he read them last.
+    """
+
+    iteration: Iteration
+    paused: bool = False
+    action_s: Annotated[float, Meta(ge=0, le=MAX_ACTION_S)] | None = None
+    script: bool = True
+    ended: Annotated[list[Iteration], Meta(max_length=MAX_ENDED)] = msgspec.field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        check_finite("action_s", self.action_s)
+
+
 class Shape(Message, frozen=True, kw_only=True):
     """A part of a drawing, in the scene's own units: x to the right, y up.
 
@@ -195,25 +221,36 @@ class Picture(Message, frozen=True, kw_only=True):
 
 
 class Command(Message, frozen=True, kw_only=True):
-    """The teacher's note for the coming action of `iteration`; None: the teacher stays silent."""
+    """The teacher's note for the coming action of `iteration`; None: the teacher stays silent.
+
+    `later`: no silence either, but "wait for me": the brain waits for this teacher's note for as long again as it
+    mostly does, from now on. Said again and again, it waits as long as he wants, within a bound.
+    """
 
     teacher: Name
     iteration: Iteration
     note: Annotated[int, Meta(ge=0, le=127)] | None
+    later: bool = False
+
+    def __post_init__(self) -> None:
+        check_later(self.later, "note", self.note)
 
 
 class Feedback(Message, frozen=True, kw_only=True):
     """Reward or punishment in [-1, 1] for the action taken at `iteration`; None: not now, perhaps later.
 
-    Without an iteration it is for some action of late: the brain finds out how late this teacher is.
+    Without an iteration it is for some action of late: the brain finds out how late this teacher is. `later`: "wait
+    for me", as in `Command`; it has no value, and without an iteration it means nothing.
     """
 
     teacher: Name
     iteration: Iteration | None = None
     value: Annotated[float, Meta(ge=-1, le=1)] | None
+    later: bool = False
 
     def __post_init__(self) -> None:
         check_finite("value", self.value)
+        check_later(self.later, "value", self.value)
 
 
 class Lesson(Message, frozen=True, kw_only=True):
