@@ -261,8 +261,8 @@ class Bus(ABC):
         """
 
     @abstractmethod
-    def token(self, role: str, instance: str) -> None:
-        """Declare this service alive, and so ready; until `close`."""
+    def token(self, role: str, instance: str) -> Callable[[], None]:
+        """Declare this service alive, and so ready; until `close`, or what is returned is called."""
 
     @abstractmethod
     def claim(self, role: str, instance: str, holder: str) -> Callable[[], None]:

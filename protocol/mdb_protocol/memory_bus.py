@@ -155,11 +155,13 @@ class MemoryBus(Bus):
                     self.refusals.add(row.path, str(error))
         return answers
 
-    def token(self, role: str, instance: str) -> None:
+    def token(self, role: str, instance: str) -> Callable[[], None]:
         """See `Bus.token`."""
+        key = ALIVE.at(self.brain, role=role, instance=instance)
         with self.fabric.lock:
-            self.fabric.tokens[ALIVE.at(self.brain, role=role, instance=instance)] = self
+            self.fabric.tokens[key] = self
             self.fabric.changed()
+        return lambda: self._withdraw(key)
 
     def claim(self, role: str, instance: str, holder: str) -> Callable[[], None]:
         """See `Bus.claim`."""
@@ -171,6 +173,7 @@ class MemoryBus(Bus):
     def _withdraw(self, key: str) -> None:
         with self.fabric.lock:
             self.fabric.tokens.pop(key, None)
+            self.fabric.changed()
 
     def holders(self, role: str, instance: str) -> frozenset[str]:
         """See `Bus.holders`."""

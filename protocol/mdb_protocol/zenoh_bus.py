@@ -280,19 +280,26 @@ class ZenohBus(Bus):
         if self._probe.unheard:
             raise UnheardError(f"the router at {self._connect} is there, and gives us nothing any more")
 
-    def token(self, role: str, instance: str) -> None:
+    def token(self, role: str, instance: str) -> Callable[[], None]:
         """See `Bus.token`."""
-        key = ALIVE.at(self.brain, role=role, instance=instance)
-        self._check_writes(ALIVE, key)
-        self._declared.append(self._session.liveliness().declare_token(key))
+        return self._say_alive(ALIVE, ALIVE.at(self.brain, role=role, instance=instance))
 
     def claim(self, role: str, instance: str, holder: str) -> Callable[[], None]:
         """See `Bus.claim`."""
-        key = CLAIM.at(self.brain, role=role, instance=instance, holder=holder)
-        self._check_writes(CLAIM, key)
+        return self._say_alive(CLAIM, CLAIM.at(self.brain, role=role, instance=instance, holder=holder))
+
+    def _say_alive(self, row: Key, key: str) -> Callable[[], None]:
+        """Declare a token; return what withdraws it."""
+        self._check_writes(row, key)
         token = self._session.liveliness().declare_token(key)
         self._declared.append(token)
-        return token.undeclare
+
+        def withdraw() -> None:
+            if token in self._declared:
+                self._declared.remove(token)
+                token.undeclare()
+
+        return withdraw
 
     def holders(self, role: str, instance: str) -> frozenset[str]:
         """See `Bus.holders`."""

@@ -7,7 +7,6 @@ screen is drawn four times a second at most.
 from __future__ import annotations
 
 import asyncio
-import threading
 import time
 from typing import ClassVar
 
@@ -24,47 +23,13 @@ from mdb_deploy.teach.screen import panel, picture
 from mdb_deploy.teach.screen.canvas import Window
 from mdb_deploy.teach.screen.language import LanguageScreen
 from mdb_deploy.teach.session import TeachingSession
+from mdb_deploy.teach.thread import SessionThread
 from mdb_deploy.teach.view import View
-from mdb_services.shell.service import run
 
 REFRESH_S, POLL_S = 0.25, 0.05
 """The least time from one drawing to the next, and how often the session is asked for something new."""
 STALE_S = 1.0
 """Drawn anew after this, although nothing is new: messages fade."""
-STOP_S = 3.0
-"""Bound on the session's own end."""
-
-
-class SessionThread:
-    """Runs a session until told to stop; the thread owns the session's bus and closes it."""
-
-    def __init__(self, session: TeachingSession) -> None:
-        self.session = session
-        self.failure: Exception | None = None
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="teaching", daemon=True)
-
-    def start(self) -> None:
-        """Begin to be present."""
-        self._thread.start()
-
-    def _run(self) -> None:
-        try:
-            run(self.session, self._stop.is_set)
-        except Exception as error:
-            self.failure = error
-
-    @property
-    def running(self) -> bool:
-        """Whether the session goes on."""
-        return self._thread.is_alive()
-
-    def stop(self) -> None:
-        """Leave; returns when presence has ended, or after `STOP_S`."""
-        self._stop.set()
-        self.session.bus.poke()
-        if self._thread.is_alive():
-            self._thread.join(STOP_S)
 
 
 class ScenePicture(Widget):
