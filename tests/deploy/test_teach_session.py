@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from mdb_deploy.experiments import experiment_path
-from mdb_deploy.teach.record import ERROR_MEAN, OBEDIENCE_OF, SUCCESSES_IN
+from mdb_deploy.teach.record import ERROR_MEAN, KEPT, OBEDIENCE_OF, SUCCESSES_IN
 from mdb_deploy.teach.screen import panel
 from mdb_deploy.teach.session import WITHOUT_EFFECT, TeachingSession
-from mdb_deploy.teach.view import View, swapped
+from mdb_deploy.teach.turns import AGAIN_S, MOST_S
+from mdb_deploy.teach.view import Summary, Turn, View, swapped
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.hearing.ear import Ear
@@ -577,3 +578,120 @@ def test_what_the_ear_took_for_another_note_is_told() -> None:
     rig.step()
     assert "the ear heard note 3 of note 2" in str(rig.session.view.notice)
     assert rig.session.view.exchanges[0].note == 2
+
+
+def test_whose_turn_it_is_follows_what_was_said() -> None:
+    rig = Rig()
+    assert rig.session.view.turn == Turn("watch", 0)
+    rig.show(scene(0))
+    assert rig.session.view.turn == Turn("play", 0), "there is nothing to judge yet"
+    rig.command(3)
+    assert rig.session.view.turn == Turn("watch", 0)
+    rig.show(scene(1))
+    assert rig.session.view.turn == Turn("both", 1)
+    rig.judge(0.5, 0)
+    assert rig.session.view.turn == Turn("play", 1)
+    rig.command(None)
+    rig.show(scene(2))
+    assert rig.session.view.turn == Turn("play", 2), "what was done in silence need not be judged"
+    rig.command(3)
+    rig.show(scene(3))
+    rig.command(2)
+    assert rig.session.view.turn == Turn("judge", 3), "the note came first; the judgement may come later"
+    rig.judge(1.0, 2)
+    rig.session.pause()
+    rig.show(scene(4))
+    assert rig.session.view.turn == Turn("watch", 4)
+    rig.world.publisher(keys.FINISHED).put(messages.Finished(iterations=4))
+    rig.step()
+    assert rig.session.view.turn == Turn("over", 4)
+
+
+def test_a_turn_ends_when_the_brain_goes_on_by_the_patience_of_the_experiment() -> None:
+    rig = Rig(patience_s=(20.0, 5.0))
+    rig.show(scene(0))
+    assert rig.session.view.turn == Turn("play", 0, rig.now + 20.0)
+    rig.command(3)
+    rig.now += 3.0
+    rig.show(scene(1))
+    assert rig.session.view.turn == Turn("both", 1, rig.now + 25.0), "feedback is waited for first"
+    rig.now += 1.0
+    rig.judge(0.5, 0)
+    assert rig.session.view.turn == Turn("play", 1, rig.now + 20.0)
+    rig.session.wait_for_me(True)
+    rig.step()
+    assert rig.session.view.turn == Turn("play", 1), "it waits"
+    rig.session.wait_for_me(False)
+    rig.report(0, teacher="bob", holder="bob")
+    assert rig.session.view.turn == Turn("play", 1), "it waits for somebody else"
+
+
+def test_who_wants_to_be_waited_for_says_so_again_and_again_while_something_is_due() -> None:
+    def said(rig: Rig) -> list[tuple[str, int | None]]:
+        took = [*rig.feedback.some(), *rig.commands.some()]
+        return [(type(one).__name__, one.iteration) for one in took if one.later]
+
+    rig = Rig(patience_s=(2.0, 2.0))
+    rig.session.wait_for_me(True)
+    rig.step()
+    assert said(rig) == [], "nothing is due yet"
+    rig.show(scene(0))
+    assert rig.session.view.waits
+    assert said(rig) == [("Command", 0)]
+    rig.step()
+    assert said(rig) == []
+    rig.now += AGAIN_S
+    rig.step()
+    assert said(rig) == [("Command", 0)]
+    rig.command(3)
+    rig.now += AGAIN_S
+    rig.step()
+    assert said(rig) == [], "it has its note"
+    rig.show(scene(1))
+    assert said(rig) == [("Feedback", 0), ("Command", 1)]
+    rig.judge(1.0, 0)
+    rig.now += AGAIN_S
+    rig.step()
+    assert said(rig) == [("Command", 1)]
+    rig.now += MOST_S
+    rig.step()
+    assert said(rig) == [], "for one scene not for ever"
+    rig.show(scene(2))
+    assert said(rig) == [("Command", 2)]
+    rig.session.wait_for_me(False)
+    rig.now += AGAIN_S
+    rig.step()
+    assert said(rig) == []
+
+
+def test_what_an_operator_wants_is_shown() -> None:
+    rig = Rig()
+    assert rig.session.view.control is None
+    control = messages.Control(iteration=3, paused=True)
+    rig.world.publisher(keys.CONTROL).put(control)
+    rig.step()
+    assert rig.session.view.control == control
+
+
+def test_the_summary_is_of_all_that_the_teacher_lived() -> None:
+    rig, count = Rig(), 3 * OBEDIENCE_OF + KEPT
+    assert rig.session.view.summary == Summary()
+    rig.show(scene(0, successes=7))
+    for i in range(count):
+        obeys = i >= OBEDIENCE_OF // 2
+        rig.command(ORDERED.note(LARGE_LEFT))
+        rig.show(scene(i + 1, did=LARGE_LEFT if obeys else NONE, successes=7 + (i + 1) // 10))
+        rig.judge(1.0 if obeys else -0.5, i)
+    rig.command(None)
+    rig.show(scene(count + 1, successes=7 + count // 10))
+    half = OBEDIENCE_OF // 2
+    assert rig.session.view.summary == Summary(
+        commands=count,
+        judged=count,
+        obeyed=count - half,
+        rewards=count - half,
+        punishments=half,
+        successes=count // 10,
+        first=0.5,
+        last=1.0,
+    )

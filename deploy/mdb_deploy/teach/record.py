@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
-from mdb_deploy.teach.view import Exchange, Latency
+from mdb_deploy.teach.view import Exchange, Latency, Summary
 from mdb_protocol import messages
 
 ERROR_MEAN = 40
@@ -34,6 +35,10 @@ class Record:
         self._errors: dict[str, deque[float]] = {}
         self._successes: deque[tuple[int, int]] = deque()
         self._latency = Latency()
+        self._summary = Summary()
+        self._first: list[bool] = []
+        self._last: deque[bool] = deque(maxlen=OBEDIENCE_OF)
+        """Whether the first and last commands were obeyed."""
 
     def exchange(self, iteration: int) -> Exchange:
         """Return what is known of an iteration."""
@@ -51,8 +56,15 @@ class Record:
         """Remember a note, or silence, and when it was said; a note after the iteration's report was too late."""
         self.note_down(iteration, spoke=True, note=note, command=command)
         self._sent_s[iteration] = now_s
+        self._summary = replace(self._summary, commands=self._summary.commands + (note is not None))
         if iteration <= self._reported:
             self._take_effect(iteration, heard=False)
+
+    def judged(self, iteration: int, value: float) -> None:
+        """Remember feedback in [-1, 1]."""
+        self.note_down(iteration, feedback=value)
+        rewards, punishments = self._summary.rewards + (value > 0.0), self._summary.punishments + (value < 0.0)
+        self._summary = replace(self._summary, rewards=rewards, punishments=punishments)
 
     def _take_effect(self, iteration: int, *, heard: bool) -> None:
         """Count whether a note had an effect; silence has none to have."""
@@ -64,11 +76,28 @@ class Record:
         """Take in a scene, and what is thought of the action that led to it."""
         if scene.action is not None:
             self.note_down(scene.iteration - 1, did=did, obeyed=obeyed)
+            self._sum_up(scene, obeyed)
             if (sent_s := self._sent_s.get(scene.iteration - 1)) is not None:
                 self._latency = replace(self._latency, to_action_s=now_s - sent_s)
         self._successes.append((scene.iteration, scene.successes))
         while self._successes[0][0] < scene.iteration - SUCCESSES_IN:
             self._successes.popleft()
+
+    def _sum_up(self, scene: messages.Scene, obeyed: bool | None) -> None:
+        """Count an action; `successes` by their difference, for before this teacher came they are not his."""
+        total = self._summary
+        if self._successes:
+            total = replace(total, successes=total.successes + max(0, scene.successes - self._successes[-1][1]))
+        if obeyed is not None:
+            total = replace(total, judged=total.judged + 1, obeyed=total.obeyed + obeyed)
+            self._last.append(obeyed)
+            if len(self._first) < OBEDIENCE_OF:
+                self._first.append(obeyed)
+        self._summary = total
+
+    def summary(self) -> Summary:
+        """Return all that this teacher has done so far."""
+        return replace(self._summary, first=_share(self._first), last=_share(self._last))
 
     def read(self, report: messages.IterationReport, now_s: float) -> None:
         """Take in the brain's own word on an iteration: whom it obeyed, how well it had foreseen what came."""
@@ -96,6 +125,7 @@ class Record:
             "successes": self._successes[-1][1] if self._successes else 0,
             "successes_per_100": self._success_rate(),
             "latency": self._latency,
+            "summary": self.summary(),
         }
 
     def _success_rate(self) -> float | None:
@@ -103,3 +133,7 @@ class Record:
             return None
         (first, had), (last, has) = self._successes[0], self._successes[-1]
         return SUCCESSES_IN * (has - had) / (last - first) if last - first >= FEW else None
+
+
+def _share(obeyed: Collection[bool]) -> float | None:
+    return sum(obeyed) / len(obeyed) if obeyed else None

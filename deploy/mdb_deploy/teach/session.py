@@ -2,8 +2,8 @@
 
 Owns the teacher's map from notes to meanings, which the brain never learns: from it alone come obedience and
 suggestions. A service like the others: its thread owns the bus; whoever has the keys and the screen calls
-`command`, `feedback`, `pause`, `speak` and `microphone`, which never wait, and reads `view`, which is renewed as a
-whole: no scene without what was said to it at once.
+`command`, `feedback`, `pause`, `wait_for_me`, `speak` and `microphone`, which never wait, and reads `view`, which is
+renewed as a whole: no scene without what was said to it at once.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_deploy.teach.record import Record
+from mdb_deploy.teach.turns import Patience, Turns
 from mdb_deploy.teach.view import View
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
@@ -57,17 +58,20 @@ class TeachingSession:
         auto: bool = False,
         player: Player | None = None,
         listens: bool = False,
+        patience_s: tuple[float, float] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Listen; presence begins with the token that `service.announce` declares.
 
-        `policy`: what can be wanted, and what of it is right; the paper's, if it is None.
+        `policy`: what can be wanted, and what of it is right; the paper's, if it is None. `patience_s`: how long the
+        brain waits for a note and for feedback, as the experiment file says; None: that is not known.
         """
         self.bus, self.instance, self.policy = bus, name, policy or Reach()
         self._view = self.view = View(language)
         self._auto, self._player, self._sounds, self._clock = auto, player, listens or player is not None, clock
         self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._record = Record(name)
+        self._turns = Turns(name, None if patience_s is None else Patience(*patience_s))
         self._admitted: bool | None = None
         self._scenes = bus.subscriber(keys.SCENE)
         self._pictures = bus.subscriber(keys.PICTURE)
@@ -75,6 +79,7 @@ class TeachingSession:
         self._reports = bus.subscriber(keys.ITERATION)
         self._timings = bus.subscriber(keys.TIMING)
         self._finished = bus.subscriber(keys.FINISHED)
+        self._controls = bus.subscriber(keys.CONTROL)
         self._heard = bus.subscriber(keys.HEARD, teacher=name)
         self._commands = bus.publisher(keys.COMMAND, teacher=name)
         self._feedback = bus.publisher(keys.FEEDBACK, teacher=name)
@@ -94,6 +99,13 @@ class TeachingSession:
     def pause(self) -> None:
         """Be there but silent, so that the brain need not wait; or end that. From any thread."""
         self._order(self._pause)
+
+    def wait_for_me(self, on: bool) -> None:
+        """Ask the brain to wait for what this teacher has to say, from now on or no longer; from any thread.
+
+        The brain waits for each note and each feedback, but no longer than `turns.MOST_S` for one scene.
+        """
+        self._order(partial(self._wait, on))
 
     def speak(self, language: Language) -> None:
         """Mean something else by the notes from now on; from any thread."""
@@ -115,6 +127,8 @@ class TeachingSession:
             moved = True
         if moved:
             self._show(**self._record.measures())
+            self._take_turn()
+        self._ask_to_wait()
         self.view = self._view  # before the router is asked, which may take its time
         alive = self.bus.alive()
         self._show(others=self._others(alive), trouble=self._trouble(alive))
@@ -147,10 +161,33 @@ class TeachingSession:
         while (timing := self._timings.take()) is not None:
             self._record.time(timing)
             moved = True
+        while (control := self._controls.take()) is not None:
+            self._show(control=control)
+            moved = True
         if self._finished.take() is not None:
             self._show(finished=True)
             moved = True
         return moved
+
+    def _take_turn(self) -> None:
+        """Find out what this teacher can do now."""
+        at = self._view.scene.iteration if self._view.scene is not None else 0
+        last, this = self._record.exchange(at - 1), self._record.exchange(at)
+        self._show(turn=self._turns.turn(self._view, last, this))
+
+    def _ask_to_wait(self) -> None:
+        """Say "wait for me", if it is wanted, something is due, and it is time to say it again."""
+        if not self._turns.asks(self._view, self._clock()):
+            return
+        turn = self._view.turn
+        if turn.kind == "both":
+            self._feedback.put(
+                messages.Feedback(teacher=self.instance, iteration=turn.iteration - 1, value=None, later=True)
+            )
+        self._commands.put(messages.Command(teacher=self.instance, iteration=turn.iteration, note=None, later=True))
+
+    def _wait(self, on: bool) -> None:
+        self._show(waits=on)
 
     def _see(self, scene: messages.Scene) -> None:
         """Take in a new scene; in a pause and with `auto` it is answered here."""
@@ -160,6 +197,7 @@ class TeachingSession:
         if last is not None and scene.iteration < last.iteration:  # another run, which counts anew
             self._record = Record(self.instance)
             self._show(report=None)
+        self._turns.see(self._clock())
         did, obeyed = self._seen(scene)
         self._record.see(scene, self._clock(), did=did, obeyed=obeyed)
         wanted = self.policy.want(scene.now) if set(self.policy.needs) <= set(scene.now) else None
@@ -257,7 +295,9 @@ class TeachingSession:
             self._notice(f"the action of iteration {iteration} is judged already")
         else:
             self._feedback.put(messages.Feedback(teacher=self.instance, iteration=iteration, value=value))
-            self._record.note_down(iteration, feedback=value)
+            self._record.judged(iteration, value)
+            if self._view.scene is not None and iteration == self._view.scene.iteration - 1:
+                self._turns.judge(self._clock())
 
     def _pause(self) -> None:
         self._show(paused=not self._view.paused)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 from mdb_protocol import messages
 from mdb_sim.teaching.languages import Language
@@ -41,6 +42,39 @@ class Latency:
 
 
 @dataclass(frozen=True)
+class Turn:
+    """What the teacher can do now.
+
+    "play" the note for the next action, of this `iteration`; "judge" the last one, of the iteration before; "both";
+    "watch", for there is nothing to say now; or all is "over". `until_s`: when the brain goes on without him, by the
+    session's clock; None: it waits, or that is not known.
+    """
+
+    kind: Literal["play", "judge", "both", "watch", "over"] = "watch"
+    iteration: int = 0
+    until_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All that a teacher has done in a run.
+
+    `commands`: notes that he said; `obeyed` of the `judged` ones, after which it could be seen what the robot did.
+    `successes`: the robot's while he was there. `first`, `last`: the share of his first and last
+    `record.OBEDIENCE_OF` judged commands that were obeyed; None: there are none.
+    """
+
+    commands: int = 0
+    judged: int = 0
+    obeyed: int = 0
+    rewards: int = 0
+    punishments: int = 0
+    successes: int = 0
+    first: float | None = None
+    last: float | None = None
+
+
+@dataclass(frozen=True)
 class View:
     """All there is to show."""
 
@@ -64,6 +98,13 @@ class View:
     others: tuple[str, ...] = ()
     """The other teachers who are there."""
     paused: bool = False
+    """Whether this teacher is silent; of the robot, see `control`."""
+    waits: bool = False
+    """Whether this teacher has asked the brain to wait for him."""
+    turn: Turn = Turn()
+    summary: Summary = Summary()
+    control: messages.Control | None = None
+    """What an operator said last."""
     finished: bool = False
     trouble: str | None = None
     """Why the teacher is not heard."""
