@@ -1,0 +1,271 @@
+// The panel of somebody who teaches: whose turn it is, feedback, notes, what was said and done.
+
+import { el, button, press, say, show, toggle } from "./dom.js";
+import { NoteKeys, faces, signed } from "./keys.js";
+
+const NOTICE_MS = 5000;
+
+/** What the teacher is to do now. */
+const TURNS = {
+  both: "Your turn: judge what it did, then play the next note.",
+  play: "Your turn: play a note.",
+  judge: "Your turn: judge what it did.",
+  watch: "Watch what it does.",
+  over: "The run is over.",
+};
+
+/** Some iterations as lines of a table. */
+function lines(hello, exchanges) {
+  const name = (command) => (command === null || command === undefined ? "" : hello.commands[command] ?? `command ${command}`);
+  return exchanges.map((each) => {
+    const done = each.did === null || each.did === undefined ? "" : name(each.did);
+    const mark = each.obeyed === true ? " ✓" : each.obeyed === false ? " ✗" : "";
+    return el("tr", { class: each.obeyed === true ? "is-good" : each.obeyed === false ? "is-bad" : null },
+      el("th", { scope: "row" }, String(each.iteration)),
+      el("td", {}, each.note === null || each.note === undefined ? "silent" : name(each.command)),
+      el("td", {}, done, mark && el("span", { "aria-label": each.obeyed ? "as you said" : "not as you said", role: "img" }, mark)),
+      el("td", {}, each.heard === false ? "your note did not count" : signed(each.feedback)));
+  });
+}
+
+export class Lesson {
+  /** `acts`: note(n), judge(iteration, value), and one function for each tool. */
+  constructor(acts) {
+    this._acts = acts;
+    this.hint = true;
+    this._until_ms = null;
+    this._whole_ms = 1;
+    this._turn = "";
+    this._heldNotice = null;
+    this._build();
+  }
+
+  _build() {
+    const acts = this._acts;
+    this._obeyed = el("p", { class: "who-counts", "aria-live": "polite" });
+    this._take = button("Take over from the scripted teacher", () => acts.script(false), { id: "take-over", class: "primary" });
+    this._give = button("Give back to the scripted teacher", () => acts.script(true), { id: "give-back" });
+    this._trouble = el("p", { class: "trouble", role: "status" });
+    this._notice = el("p", { class: "notice", role: "status" });
+    this._words = el("p", { id: "turn-words", class: "turn-words", "aria-live": "polite", "aria-atomic": "true" });
+    this._bar = el("div", { class: "countdown-bar" });
+    this._left = el("span", { class: "countdown-left" });
+    this._countdown = el("div", { class: "countdown", "aria-hidden": "true" },
+      el("div", { class: "countdown-track" }, this._bar), this._left);
+    this._wait = toggle("Let it wait for me", () => acts.wait(), { id: "let-it-wait", title: "The robot does nothing until you have played and judged" });
+
+    this._last = el("p", { class: "last-action" });
+    this._advice = el("p", { class: "advice" });
+    this._faces = faces((value) => acts.judge(value));
+    this._slider = el("input", { type: "range", id: "exact", min: -1, max: 1, step: 0.05, value: 0.5,
+      "aria-label": "Exact feedback", input: () => this._showExact() });
+    this._give_exact = button("Give +0.5", () => acts.judge(Number(this._slider.value)), { id: "give-exact" });
+    this._judge = el("div", { class: "step step-judge" },
+      el("h3", {}, "Judge"), this._last, this._advice,
+      el("div", { class: "faces", role: "group", "aria-label": "Your feedback" }, ...this._faces),
+      el("div", { class: "exact" }, el("span", { class: "plain" }, "exact:"), this._slider, this._give_exact,
+        el("span", { class: "plain keys-help" }, "keys ", el("kbd", {}, "0"), " worst to ", el("kbd", {}, "9"), " best, ",
+          el("kbd", {}, "−"), " ", el("kbd", {}, "+"), " full")));
+
+    this._wanted = el("p", { class: "wanted" });
+    this._hint = toggle("Hint", () => this._flip(), { id: "hint", "aria-keyshortcuts": "h", title: "Which note is right now (key h)" });
+    this._notes = new NoteKeys((note) => acts.note(note));
+    this._silence = button(["Say nothing", el("kbd", { "aria-hidden": "true" }, "space")], () => acts.note(null), { class: "silence", "data-note": "none", "aria-label": "Say nothing this time" });
+    this._play = el("div", { class: "step step-play" }, el("h3", {}, "Play"), this._wanted, this._notes.root, this._silence);
+
+    this._obedience = el("p", { class: "obedience" });
+    this._filled = el("div", { class: "meter-filled" });
+    this._meter = el("div", { class: "meter", "aria-hidden": "true" }, this._filled);
+
+    this._sound = toggle("Sound", acts.sound, { id: "sound", title: "Let your notes sound here" });
+    this._silent = toggle("Stay silent", acts.silent, { id: "silent", "aria-keyshortcuts": "p", title: "Be there but say nothing; the robot does not wait (key p)" });
+    this._auto = toggle("Teach by itself", acts.auto, { id: "auto", title: "A script teaches with your language, under your name" });
+    this._ear = toggle("Microphone", acts.microphone, { id: "microphone" });
+    this._loud = el("div", { class: "meter-filled" });
+    this._heard = el("span", { class: "heard-words", "aria-live": "polite" });
+    this._hears = el("div", { class: "hears" }, el("div", { class: "meter loudness", "aria-hidden": "true" }, this._loud), this._heard);
+
+    this._list = el("tbody");
+    const exchanges = el("details", { class: "exchanges", open: window.matchMedia("(min-width: 1000px)").matches },
+      el("summary", {}, "What was said, done and judged"),
+      el("div", { class: "exchanges-list", tabindex: 0, role: "region", "aria-label": "What was said, done and judged" },
+        el("table", {},
+          el("thead", {}, el("tr", {}, ...["iteration", "you said", "it did", "feedback"].map((words) => el("th", { scope: "col" }, words)))),
+          this._list)));
+
+    this.root = el("div", { class: "lesson", tabindex: -1, "aria-label": "Your lesson", role: "group" },
+      el("div", { class: "counts" }, this._obeyed, this._take, this._give),
+      this._trouble,
+      el("div", { class: "turn" }, this._words, this._countdown, el("div", { class: "buttons" }, this._wait, this._hint)),
+      this._notice, this._judge, this._play,
+      el("div", { class: "obeys" }, this._obedience, this._meter),
+      el("div", { class: "buttons tools" },
+        this._sound,
+        button("Language", acts.language, { id: "open-language", "aria-keyshortcuts": "l", title: "What your notes mean (key l)" }),
+        this._ear, this._silent, this._auto,
+        button("Leave", acts.leave, { id: "leave", class: "leave", "aria-keyshortcuts": "q", title: "Leave (key q)" })),
+      this._hears, exchanges);
+    this._showExact();
+  }
+
+  _flip() {
+    this.hint = !this.hint;
+    this._acts.changed();
+  }
+
+  /** Turn the hint on or off, as the key does. */
+  flip() {
+    this._flip();
+  }
+
+  _showExact() {
+    const words = signed(Number(this._slider.value));
+    say(this._give_exact, `Give ${words}`);
+    this._slider.setAttribute("aria-valuetext", words);
+  }
+
+  /** Show that a note was played. */
+  hit(note) {
+    if (note !== null) this._notes.flash(note);
+  }
+
+  /** Show for some seconds what became of an order. */
+  notice(words) {
+    say(this._notice, words ?? "");
+    this._noticed_ms = performance.now();
+  }
+
+  /** Show how loud the microphone is, 0 to 1. */
+  loud(share) {
+    this._loud.style.width = `${Math.round(100 * Math.min(1, share * 2))}%`;
+  }
+
+  /** Renew all. `you`: as the server says; `tools`: what is on, on this side; `control`: as the brain's operator said. */
+  show(hello, you, { control, tools, rights, scripted }) {
+    const turn = you.turn ?? { kind: "watch", iteration: 0, left_s: null };
+    this._showTurn(hello, you, turn);
+    this._showCounts(you, control, rights, scripted);
+    this._showJudge(hello, you, turn);
+    this._showPlay(hello, you, turn);
+    this._showMeasures(you);
+    press(this._wait, you.waits);
+    press(this._hint, this.hint);
+    press(this._sound, tools.sound);
+    press(this._silent, you.paused);
+    press(this._auto, tools.auto);
+    press(this._ear, tools.microphone);
+    show(this._ear, hello.ear);
+    show(this._hears, tools.microphone);
+    say(this._trouble, you.trouble ?? "");
+    if (you.notice && you.notice !== this._heldNotice) this.notice(you.notice);
+    this._heldNotice = you.notice ?? null;
+    this._showHeard(you, tools);
+    const rows = JSON.stringify(you.exchanges ?? []);
+    if (rows !== this._rows) {
+      this._rows = rows;
+      this._list.replaceChildren(...lines(hello, (you.exchanges ?? []).slice(0, 20)));
+    }
+  }
+
+  _showTurn(hello, you, turn) {
+    const mine = you.paused ? "You stay silent. The robot goes on without you." : TURNS[turn.kind] ?? TURNS.watch;
+    say(this._words, mine);
+    this.root.dataset.turn = you.paused ? "watch" : turn.kind;
+    const left_s = turn.left_s;
+    if (left_s === null || left_s === undefined || you.waits || you.paused) {
+      this._until_ms = null;
+    } else {
+      const now = performance.now();
+      const whole_s = Math.max(...(hello.patience_s ?? []), left_s, 0.1);
+      const again = `${turn.iteration} ${turn.kind}` !== this._turn;
+      // The clock of the page goes on by itself; a frame that says nearly the same does not make the bar jump.
+      if (again || this._until_ms === null || Math.abs(this._until_ms - (now + 1000 * left_s)) > 250) {
+        this._until_ms = now + 1000 * left_s;
+        this._whole_ms = 1000 * whole_s;
+      }
+    }
+    this._turn = `${turn.iteration} ${turn.kind}`;
+    this._waiting = Boolean(you.waits) && !you.paused && ["play", "judge", "both"].includes(turn.kind);
+  }
+
+  /** Draw the time that is left; called for each picture of the screen. */
+  tick(now_ms) {
+    if (this._noticed_ms && now_ms - this._noticed_ms > NOTICE_MS) {
+      this._noticed_ms = null;
+      say(this._notice, "");
+    }
+    const left_ms = this._until_ms === null ? null : Math.max(0, this._until_ms - now_ms);
+    const share = this._waiting ? 1 : left_ms === null ? 0 : left_ms / this._whole_ms;
+    this._bar.style.transform = `scaleX(${Math.min(1, share).toFixed(3)})`;
+    this._countdown.classList.toggle("is-waiting", this._waiting);
+    say(this._left, this._waiting ? "it waits for you" : left_ms === null ? "" : `${(left_ms / 1000).toFixed(1)} s`);
+  }
+
+  _showCounts(you, control, rights, scripted) {
+    const mine = you.obeyed === you.name;
+    const others = (you.others ?? []).filter((each) => each !== you.obeyed && each !== "script");
+    const also = others.length ? ` Also here: ${others.join(", ")}.` : "";
+    if (you.obeyed === null || you.obeyed === undefined) {
+      say(this._obeyed, `Nobody is being obeyed yet: play a note.${also}`);
+    } else if (mine) {
+      say(this._obeyed, `You are being obeyed: your notes count.${also}`);
+    } else {
+      say(this._obeyed, `${you.obeyed} is being obeyed. Your notes do not count until ${you.obeyed} is silent or leaves.${also}`);
+    }
+    this._obeyed.classList.toggle("is-good", mine);
+    this._obeyed.classList.toggle("is-bad", !mine && Boolean(you.obeyed));
+    const on = control?.script !== false;
+    show(this._take, rights.operate && scripted && on);
+    show(this._give, rights.operate && scripted && !on);
+  }
+
+  _showJudge(hello, you, turn) {
+    const iteration = turn.iteration - 1;
+    const last = (you.exchanges ?? []).find((each) => each.iteration === iteration);
+    const name = (command) => hello.commands[command] ?? `command ${command}`;
+    const known = last && last.did !== null && last.did !== undefined;
+    const said = last && last.command !== null && last.command !== undefined ? `You said “${name(last.command)}”. ` : "";
+    say(this._last, iteration < 0 ? "It has done nothing yet." : known ? `${said}It did “${name(last.did)}”.` : said || "It has acted.");
+    const judged = last?.feedback ?? null;
+    const advice = judged !== null ? `You gave ${signed(judged)}.`
+      : !this.hint || !said ? ""
+        : last.obeyed === true ? "It obeyed: praise it."
+          : last.obeyed === false ? "It did not obey: punish it. If it was nearly right, punish less." : "";
+    say(this._advice, advice);
+    for (const key of this._faces) press(key, judged !== null && Math.abs(Number(key.dataset.value) - judged) < 0.01);
+    this._judge.classList.toggle("is-due", ["judge", "both"].includes(turn.kind) && !you.paused);
+  }
+
+  _showPlay(hello, you, turn) {
+    const wanted = you.wanted ?? null;
+    const note = wanted === null ? null : you.language[wanted];
+    const due = ["play", "both"].includes(turn.kind) && !you.paused;
+    const words = !this.hint ? ""
+      : note === null ? "No note is better than another now."
+        : `Right now: “${hello.commands[wanted]}”.`;
+    say(this._wanted, words);
+    const said = (you.exchanges ?? []).find((each) => each.iteration === turn.iteration);
+    const last = said && said.note !== null ? said.note : null;
+    this._notes.show(hello, you.language, this.hint && due ? note : null, last);
+    this._play.classList.toggle("is-due", due);
+  }
+
+  _showMeasures(you) {
+    const share = you.obedience;
+    const known = share !== null && share !== undefined && you.judged > 0;
+    say(this._obedience, known ? `It obeys: ${Math.round(share * you.judged)} of your last ${you.judged} notes` : "It obeys: you have played no note yet");
+    this._filled.style.width = `${known ? Math.round(100 * share) : 0}%`;
+  }
+
+  _showHeard(you, tools) {
+    if (!tools.microphone) return;
+    const heard = you.heard;
+    if (!heard) {
+      say(this._heard, "The microphone listens: whistle, sing or play a note.");
+      return;
+    }
+    const hz = heard.hz === null || heard.hz === undefined ? "" : `${Math.round(heard.hz)} Hz`;
+    const note = heard.note === null || heard.note === undefined ? "no note of the scale" : `note ${heard.note + 1}`;
+    say(this._heard, `Heard: ${[hz, note].filter(Boolean).join(", ")}`);
+  }
+}
