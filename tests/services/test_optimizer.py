@@ -11,6 +11,7 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.acting.optimizer import ENDING_S, Optimizer
 from mdb_services.acting.outbox import UNSTORED
 from mdb_services.acting.teachers import KEPT_AHEAD
+from mdb_services.acting.waits import ASKED_S, MOST_ASKED_S
 from mdb_services.experiment.brain import BrainConfig, brain_config
 from mdb_services.mechanism.actions.spaces import Choices
 from mdb_services.shell.elsewhere import BELIEVED_AFTER_S
@@ -872,3 +873,85 @@ def test_pairs_on_their_way_while_the_optimizer_died_do_not_cost_the_last_one() 
     rig.sense(5, 0.5, done=action)
     died(rig, iteration=2)
     assert [(pair.iteration, pair.after) for pair in rig.said(keys.PAIR)] == [(4, {"distance": 0.5})]
+
+
+def ask(rig: Rig, row: keys.Key, iteration: int) -> None:
+    """Anna asks to be waited for with her note, or her feedback."""
+    if row is keys.COMMAND:
+        rig.say(row, messages.Command(teacher="anna", iteration=iteration, note=None, later=True), teacher="anna")
+    else:
+        rig.say(row, messages.Feedback(teacher="anna", iteration=iteration, value=None, later=True), teacher="anna")
+
+
+def test_a_teacher_who_asks_for_it_is_waited_for_as_long_as_he_goes_on_asking() -> None:
+    rig = Rig()
+    rig.sense(0)
+    for _ in range(20):
+        rig.wait(1.0)
+        ask(rig, keys.COMMAND, 0)
+    assert rig.said(keys.ACTION) == []
+    rig.command(0)
+    assert rig.said(keys.ACTION)[0].intention.note == 1, "the note that comes in the end counts"
+    rig.sense(1)
+    for _ in range(20):
+        rig.wait(1.0)
+        ask(rig, keys.FEEDBACK, 0)
+    assert rig.said(keys.PAIR) == []
+    rig.reward(0, 0.5)
+    assert [p.feedback for p in rig.said(keys.PAIR)] == [0.5]
+    assert rig.gave_up() == {}
+
+
+@pytest.mark.parametrize("row", [keys.COMMAND, keys.FEEDBACK], ids=lambda row: row.path)
+def test_who_asks_no_more_has_the_usual_time_once_more_and_who_is_gone_has_none(row: keys.Key) -> None:
+    for leaves in (False, True):
+        rig = Rig()
+        rig.sense(0)
+        awaited = keys.ACTION
+        if row is keys.FEEDBACK:
+            rig.command(0)
+            rig.sense(1)
+            awaited = keys.PAIR
+            rig.said(keys.ACTION)
+        rig.wait(PATIENCE_S - 0.2)
+        ask(rig, row, 0)
+        rig.wait(PATIENCE_S - 0.2)
+        assert rig.said(awaited) == []
+        if leaves:
+            rig.presence.close()
+            rig.settle()
+        else:
+            rig.wait(0.4)
+        assert len(rig.said(awaited)) == 1
+        assert sum(rig.gave_up().values()) == (not leaves)
+
+
+@pytest.mark.parametrize("row", [keys.COMMAND, keys.FEEDBACK], ids=lambda row: row.path)
+def test_however_often_a_teacher_asks_there_is_an_end(row: keys.Key) -> None:
+    rig = Rig()
+    rig.sense(0)
+    awaited = keys.ACTION
+    if row is keys.FEEDBACK:
+        rig.command(0)
+        rig.sense(1)
+        awaited = keys.PAIR
+    for _ in range(int(MOST_ASKED_S) - 1):
+        rig.now += 1.0
+        ask(rig, row, 0)
+    assert rig.said(awaited) == []
+    for _ in range(2):
+        rig.now += 1.0
+        ask(rig, row, 0)
+    assert {sent.iteration for sent in rig.said(awaited)} == {0}
+    assert sum(rig.gave_up().values()) == 1
+
+
+def test_an_impatient_brain_waits_for_who_asks_once_a_second_too() -> None:
+    rig = Rig(config(optimizer=OPTIMIZER | {"command_patience_s": 0.3}))
+    rig.sense(0)
+    for _ in range(5):
+        ask(rig, keys.COMMAND, 0)
+        rig.wait(1.0)
+    assert rig.said(keys.ACTION) == []
+    rig.wait(ASKED_S)
+    assert len(rig.said(keys.ACTION)) == 1

@@ -1,5 +1,7 @@
 """Whose word counts when several teach, and what their feedback comes to."""
 
+import math
+
 import pytest
 
 from mdb_protocol.messages import Command, Feedback
@@ -141,3 +143,62 @@ def test_feedback_behind_does_not_push_out_what_is_said_now() -> None:
     for iteration in range(600):
         teachers.judge(Feedback(teacher="ann", iteration=iteration, value=1.0))
     assert teachers.verdict(599, "ann").value == 1.0
+
+
+def later(teacher: str, iteration: int) -> Command:
+    return Command(teacher=teacher, iteration=iteration, note=None, later=True)
+
+
+def test_who_asks_to_be_waited_for_is_awaited_although_all_others_are_silent() -> None:
+    teachers = Teachers("first")
+    teachers.hear(command("b", 0, None))
+    teachers.hear(command("c", 0, None))
+    assert teachers.settled(0, BOTH)
+    teachers.ask(later("a", 0), 5.0)
+    assert not teachers.settled(0, BOTH)
+    assert teachers.asked_s(0, BOTH) == 5.0
+    assert teachers.settled(0, BEN), "he is gone"
+    teachers.hear(command("a", 0, None))
+    assert teachers.settled(0, BOTH)
+    assert teachers.asked_s(0, BOTH) == -math.inf
+
+
+def test_who_asks_in_vain_because_another_is_obeyed_or_he_is_gone_is_not_waited_for() -> None:
+    teachers = Teachers("first")
+    teachers.hear(command("b", 0))
+    assert teachers.settled(0, BOTH)
+    teachers.word(0)
+    teachers.ask(later("a", 1), 5.0)
+    assert teachers.asked_s(1, BOTH) == -math.inf, "it is b who is awaited"
+    teachers.ask(later("b", 1), 6.0)
+    assert teachers.asked_s(1, BOTH) == 6.0
+    teachers.hear(command("b", 1))
+    assert teachers.settled(1, BOTH), "never in place of a note that came"
+    teachers.ask(later("a", 2), 7.0)
+    teachers.hear(command("b", 2, None))
+    assert not teachers.settled(2, BOTH), "b is silent, so that a may be obeyed"
+    assert teachers.settled(2, BEN)
+    assert teachers.asked_s(2, BEN) == -math.inf
+
+
+def test_feedback_to_come_is_no_answer() -> None:
+    teachers = Teachers("first")
+    teachers.ask(Feedback(teacher="a", iteration=3, value=None, later=True), 5.0)
+    teachers.ask(Feedback(teacher="a", value=None, later=True), 6.0)
+    assert not teachers.answered(3, "a")
+    assert teachers.asked_feedback_s(3, "a") == 5.0
+    assert teachers.asked_feedback_s(3, "b") == teachers.asked_feedback_s(4, "a") == -math.inf
+    assert teachers.asked_feedback_s(3, None) == -math.inf
+
+
+def test_a_flood_of_those_who_ask_needs_bounded_memory() -> None:
+    teachers = Teachers("first")
+    for i in range(3 * KEPT_AHEAD):
+        teachers.ask(later("a", i), 1.0)
+        teachers.ask(Feedback(teacher="a", iteration=i, value=None, later=True), 1.0)
+    for i in range(3 * KEPT_TEACHERS):
+        teachers.ask(later(f"t{i}", 0), 1.0)
+    assert max(len(teachers._asked), len(teachers._asked_feedback)) <= KEPT_AHEAD
+    assert len(teachers._asked[0]) == KEPT_TEACHERS
+    teachers.forget(before=5, feedback_before=2)
+    assert (min(teachers._asked), min(teachers._asked_feedback)) == (5, 2)

@@ -5,6 +5,8 @@ Owns the inboxes but the robot's. Decides nothing.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_protocol.keys import Key
@@ -27,11 +29,12 @@ class Intake:
         *,
         notes: int | None,
         window: int,
+        clock: Callable[[], float],
     ) -> None:
         """`notes`: how many there are; None: any. `window`: feedback so many iterations late still counts."""
         self._bus, self._models, self._teachers = bus, models, teachers
         self._verdicts, self._outbox = verdicts, outbox
-        self._notes, self._window = notes, window
+        self._notes, self._window, self._clock = notes, window, clock
         self._model_inbox = bus.subscriber(keys.CURRENT_MODEL)
         self._command_inboxes = bus.subscriber(keys.COMMAND), bus.subscriber(keys.HEARD)
         self._feedback_inbox = bus.subscriber(keys.FEEDBACK)
@@ -63,7 +66,11 @@ class Intake:
             self._bus.refusals.add(keys.COMMAND.path, reason)
         elif self._is_far(command.iteration):
             self.refuse(keys.COMMAND, f"command of {command.teacher}", command.iteration)
-        elif command.iteration >= self._now:
+        elif command.iteration < self._now:
+            pass
+        elif command.later:
+            self._teachers.ask(command, self._clock())
+        else:
             self._teachers.hear(command)
 
     def _judge(self, feedback: messages.Feedback) -> None:
@@ -71,6 +78,8 @@ class Intake:
         named = feedback.iteration
         if named is not None and (named < self._now - self._window or self._is_far(named)):
             self.refuse(keys.FEEDBACK, f"feedback of {feedback.teacher}", named)
+        elif feedback.later:
+            self._teachers.ask(feedback, self._clock())
         else:
             self._verdicts.hear(feedback, began=self._began)
 

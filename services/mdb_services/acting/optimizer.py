@@ -92,6 +92,7 @@ class Optimizer:
             self._outbox,
             notes=variables["note"].indices if "note" in variables else None,
             window=config.optimizer.feedback_window,
+            clock=clock,
         )
         self._reports = bus.publisher(keys.ITERATION)
         self._timings = bus.publisher(keys.TIMING)

@@ -1,11 +1,12 @@
-"""What the teachers said, and whose word counts: one service's view of all who teach.
+"""What the teachers said, and who is obeyed: one service's view of all who teach.
 
 Owns the policy of several teachers. Pure: the optimizer hands in what came and who is alive, and asks.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 from mdb_protocol import messages
 from mdb_services.experiment.sections import Word
@@ -35,6 +36,9 @@ class Teachers:
         self._first_only = word == "first"
         self._commands: dict[int, dict[str, messages.Command]] = {}
         self._feedback: dict[int, dict[str, float | None]] = {}
+        self._asked: dict[int, dict[str, float]] = {}
+        self._asked_feedback: dict[int, dict[str, float]] = {}
+        """When each teacher last asked to be waited for: with his command, and with his feedback."""
         self._seen: set[str] = set()
         self._nameless: dict[str, None] = {}
         """Whose feedback names no iteration; who spoke last is last."""
@@ -45,6 +49,16 @@ class Teachers:
         if len(said) < KEPT_TEACHERS:
             said.setdefault(command.teacher, command)
         _bound(self._commands, KEPT_AHEAD)
+
+    def ask(self, message: messages.Command | messages.Feedback, now_s: float) -> None:
+        """Keep that a teacher asks to be waited for, with a command or feedback that is to come `later`."""
+        if message.iteration is None:
+            return
+        kept = self._asked if isinstance(message, messages.Command) else self._asked_feedback
+        asked = kept.setdefault(message.iteration, {})
+        if message.teacher in asked or len(asked) < KEPT_TEACHERS:
+            asked[message.teacher] = now_s
+        _bound(kept, KEPT_AHEAD if kept is self._asked else self._kept_feedback)
 
     def judge(self, feedback: messages.Feedback) -> None:
         """Keep a teacher's first feedback for an iteration; what he said instead of "not now" counts.
@@ -74,9 +88,28 @@ class Teachers:
         said = self._commands.get(iteration, {})
         if self.holder is not None and self._is_gone(self.holder, present):
             self.holder = None
-        if self.holder is not None:
-            return self.holder in said
-        return any(command.note is not None for command in said.values()) or len(said) >= len(present)
+        if self.holder is not None and self.holder not in said:
+            return False
+        if any(command.note is not None for command in said.values()):
+            return True
+        return (self.holder is not None or len(said) >= len(present)) and not self._pending(iteration, present)
+
+    def asked_s(self, iteration: int, alive: frozenset[str]) -> float:
+        """Return when one whose command is awaited last asked to be waited for; -inf: nobody did."""
+        pending = self._pending(iteration, {name for name in alive if name.startswith(f"{ROLE}/")})
+        if self.holder is not None and self.holder not in self._commands.get(iteration, {}):
+            return pending.get(self.holder, -math.inf)
+        return max(pending.values(), default=-math.inf)
+
+    def asked_feedback_s(self, iteration: int, teacher: str | None) -> float:
+        """Return when a teacher last asked to be waited for with his feedback; -inf: he did not."""
+        asked = self._asked_feedback.get(iteration, {})
+        return -math.inf if teacher is None else asked.get(teacher, -math.inf)
+
+    def _pending(self, iteration: int, present: set[str]) -> dict[str, float]:
+        """Return who asked to be waited for and has not said his command yet, and when; who is gone is left out."""
+        said, asked = self._commands.get(iteration, {}), self._asked.get(iteration, {})
+        return {who: s for who, s in asked.items() if who not in said and not self._is_gone(who, present)}
 
     def _is_gone(self, teacher: str, present: set[str]) -> bool:
         """A scripted teacher has no token of its own, only its process has: it goes when nobody is left."""
@@ -91,7 +124,7 @@ class Teachers:
     def word(self, iteration: int) -> messages.Command | None:
         """Return the command that counts, None for silence; who is obeyed is decided here.
 
-        A holder who was silent, or whose time was up, loses the word to the first other one with a note.
+        When he who was obeyed is silent, or his time is up, the first other one with a note is obeyed from now on.
         """
         said = self._commands.get(iteration, {})
         if self.holder is not None:
@@ -124,8 +157,10 @@ class Teachers:
         """Drop commands for iterations below `before` and feedback for those below `feedback_before`."""
         self._commands = {i: said for i, said in self._commands.items() if i >= before}
         self._feedback = {i: said for i, said in self._feedback.items() if i >= feedback_before}
+        self._asked = {i: asked for i, asked in self._asked.items() if i >= before}
+        self._asked_feedback = {i: asked for i, asked in self._asked_feedback.items() if i >= feedback_before}
 
 
-def _bound(kept: dict[int, dict[str, messages.Command]] | dict[int, dict[str, float | None]], most: int) -> None:
+def _bound(kept: dict[int, Any], most: int) -> None:
     if len(kept) > most:
         del kept[max(kept)]

@@ -5,6 +5,7 @@ Owns whether a wait is over and which were in vain. Pure but for the clock and w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import structlog
@@ -16,6 +17,11 @@ from mdb_services.acting.teachers import Teachers
 from mdb_services.experiment.brain import BrainConfig
 
 log = structlog.get_logger()
+
+ASKED_S = 2.0
+"""A teacher who asks to be waited for is waited for at least so long, for he asks about once a second (ours)."""
+MOST_ASKED_S = 600.0
+"""For one command, or one feedback, a teacher is waited for so long at most, however often he asks (ours)."""
 
 
 class Waits:
@@ -45,8 +51,14 @@ class Waits:
     def for_command(self, deciding: Deciding) -> bool:
         """Whether a command may still come for an action that is due."""
         iteration, patience_s = deciding.perception.iteration, self._settings.command_patience_s
-        return not self._teachers.settled(iteration, self._alive()) and self._goes_on(
-            deciding.gave_up, "command", iteration, deciding.begun_s, patience_s
+        alive = self._alive()
+        return not self._teachers.settled(iteration, alive) and self._goes_on(
+            deciding.gave_up,
+            "command",
+            iteration,
+            deciding.begun_s,
+            patience_s,
+            asked_s=self._teachers.asked_s(iteration, alive),
         )
 
     def for_feedback(self, acted: Acting, outcome_s: float) -> bool:
@@ -55,7 +67,14 @@ class Waits:
         return (
             not self._teachers.answered(acted.iteration, teacher)
             and self._teachers.is_there(teacher, self._alive())
-            and self._goes_on(acted.gave_up, "feedback", acted.iteration, outcome_s, patience_s)
+            and self._goes_on(
+                acted.gave_up,
+                "feedback",
+                acted.iteration,
+                outcome_s,
+                patience_s,
+                asked_s=self._teachers.asked_feedback_s(acted.iteration, teacher),
+            )
         )
 
     def for_models(self, gave_up: set[str], iteration: int, since_s: float) -> bool:
@@ -64,11 +83,24 @@ class Waits:
             return False
         return self._goes_on(gave_up, "models", iteration, since_s, self._settings.lockstep_patience_s)
 
-    def _goes_on(self, gave_up: set[str], what: str, iteration: int, since_s: float, patience_s: float) -> bool:
-        """Whether to wait on; in lockstep with its own patience, since a slow machine must not change the run."""
+    def _goes_on(
+        self,
+        gave_up: set[str],
+        what: str,
+        iteration: int,
+        since_s: float,
+        patience_s: float,
+        *,
+        asked_s: float = -math.inf,
+    ) -> bool:
+        """Whether to wait on; in lockstep with its own patience, since a slow machine must not change the run.
+
+        `asked_s`: when who is waited for asked for it last; from then on he has his time anew.
+        """
         if self._lockstep:
             patience_s = max(patience_s, self._settings.lockstep_patience_s)
-        if self._clock() - since_s < patience_s:
+        asked_until_s = min(asked_s + max(patience_s, ASKED_S), since_s + MOST_ASKED_S)
+        if self._clock() < max(since_s + patience_s, asked_until_s):
             return True
         if what not in gave_up:
             gave_up.add(what)
