@@ -23,7 +23,7 @@ from mdb_protocol.errors import BusError, ConfigError
 from mdb_protocol.keys import KEYS
 from mdb_protocol.roles import Role, User, table
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
+README = (Path(__file__).parents[2] / "deploy" / "README.md").read_text()
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The README's example of another client, run as it stands there against a brain without a scripted teacher."""
+"""The teacher over the wire in protocol/README.md, run as it stands there: no scripted teacher is in the brain."""
 
 import re
 import subprocess
@@ -12,13 +12,14 @@ from mdb_protocol import keys, messages
 from mdb_sim.runs.experiment import Experiment
 from tests.integration.brain import Brain, until
 
-README = Path(__file__).parents[2] / "README.md"
+README = Path(__file__).parents[2] / "protocol" / "README.md"
 SETTINGS = ("robot.body=kinematic", "experiment.iterations=100000", "optimizer.feedback_patience_s=0.05")
 
 
 def example(endpoint: str) -> str:
-    """Return the README's Python block, with the router of this test."""
-    (code,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    """Return the page's Python block that teaches, with the router of this test."""
+    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    (code,) = (block for block in blocks if "mdb_protocol" in block)
     assert "tcp/127.0.0.1:7447" in code
     return str(code.replace("tcp/127.0.0.1:7447", endpoint))
 

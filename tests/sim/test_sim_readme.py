@@ -46,7 +46,7 @@ def test_every_citation_of_the_page_names_one_of_its_headings() -> None:
 
 def test_sections_that_the_page_itself_names_exist() -> None:
     for heading in re.findall(r'"([A-Z][^"]+)"', re.sub(r"```.*?```", "", PAGE, flags=re.DOTALL)):
-        assert heading in (*HEADINGS, "Several teachers"), heading  # the last one is of the project's README
+        assert heading in (*HEADINGS, "Several teachers"), heading  # the last one is of services/README.md
 
 
 @pytest.mark.parametrize(

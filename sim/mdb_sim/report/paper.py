@@ -223,8 +223,8 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "The commands are musical notes, heard by a microphone.",
         "adapted",
-        "`services/mdb_services/hearing/ear.py`, section “Sound” of `README.md`. In the runs of this report the "
-        "notes are named, not sounded.",
+        "`services/mdb_services/hearing/ear.py`, section “Sound” of `services/README.md`. In the runs of this "
+        "report the notes are named, not sounded.",
     ),
     Statement(
         "3",
@@ -358,6 +358,6 @@ STATEMENTS: tuple[Statement, ...] = (
         "Any teacher can teach any machine any behaviour that it can carry out.",
         "adapted",
         "The brain knows no machine. This report is of one robot and one task; others are taught by an experiment "
-        "file (`README.md`). Teachers who err: section 3.",
+        "file (`deploy/experiments/`). Teachers who err: section 3.",
     ),
 )
