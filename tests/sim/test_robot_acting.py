@@ -300,3 +300,54 @@ def test_the_file_changes_the_body_before_the_action_of_an_iteration() -> None:
         rig.say(iteration)
         rig.step()
         assert bool(rig.body.changed) == (iteration >= 1)
+
+
+def test_an_action_under_way_comes_to_its_end_in_a_pause_and_no_other_begins(slow: Rig) -> None:
+    control = slow.world.publisher(keys.CONTROL)
+    slow.say(0)
+    slow.until(slow.body.begun.is_set)
+    control.put(messages.Control(iteration=0, paused=True))
+    for _ in range(4):
+        slow.now += 0.5
+        slow.say(0)  # the brain is there and says it again
+        slow.step()
+    assert slow.body.halts == 0
+    slow.body.over.set()
+    slow.until(lambda: slow.newest.iteration == 1)
+    slow.say(1)
+    slow.step()
+    assert slow.body.done == [1.0]
+    slow.body.begun.clear()
+    control.put(messages.Control(iteration=1))
+    slow.say(1)
+    slow.until(slow.body.begun.is_set)
+    slow.body.over.set()
+    slow.until(lambda: slow.newest.iteration == 2)
+
+
+def test_a_shorter_time_holds_for_the_action_that_goes_on() -> None:
+    rig = Rig(Slow(waits=False), threaded=True, hold_s=100.0, action_s=60.0)
+    rig.say(0)
+    rig.until(lambda: rig.body.done == [1.0])
+    rig.world.publisher(keys.CONTROL).put(messages.Control(iteration=0, action_s=0.0))
+    rig.until(lambda: rig.newest.iteration == 1)
+    assert rig.service.next_s() > 0.0
+    rig.service.close()
+
+
+def test_in_a_pause_a_clocked_robot_holds_nothing() -> None:
+    rig = Rig(Slow(waits=False), period_s=0.1, hold_s=100.0)
+    rig.say(0)
+    for _ in range(3):
+        rig.now += 0.1
+        rig.step()
+    held = len(rig.body.done)
+    assert held > 1, "the last action is held"
+    rig.world.publisher(keys.CONTROL).put(messages.Control(iteration=1, paused=True))
+    halts = rig.body.halts
+    for _ in range(5):
+        rig.say(1)
+        rig.now += 0.1
+        rig.step()
+    assert len(rig.body.done) == held
+    assert rig.body.halts == halts + 1

@@ -212,24 +212,14 @@ def test_an_action_with_a_stamp_that_this_robot_never_gave_is_not_done() -> None
     assert (rig.body.done, rig.service.values()["late"]) == ([], 3.0)
 
 
-def test_an_action_takes_its_time_on_the_wall(monkeypatch: pytest.MonkeyPatch) -> None:
-    waited: list[float | None] = []
-
-    class Event(threading.Event):
-        def wait(self, timeout: float | None = None) -> bool:
-            waited.append(timeout)
-            return True
-
-    monkeypatch.setattr(threading, "Event", Event)
-    rig = Rig(action_s=2.0)
-    rig.act(0)
-    rig.act(0)
-    assert len(waited) == 1
-    assert waited[0] is not None
-    assert 1.5 < waited[0] <= 2.0
-    unhurried = Rig(action_s=0.0)
-    unhurried.act(0)
-    assert len(waited) == 1
+def test_an_action_takes_its_time_on_the_wall() -> None:
+    rig, took_s = Rig(action_s=0.5), []
+    for _ in range(2):
+        begun_s = time.perf_counter()
+        rig.act(0)
+        took_s.append(time.perf_counter() - begun_s)
+    assert took_s[0] >= 0.5
+    assert took_s[1] < 0.5, "it is not done twice"
 
 
 def test_the_same_actions_give_the_same_perceptions() -> None:
@@ -535,6 +525,68 @@ def test_changes_of_the_experiment_come_when_they_are_due() -> None:
         scene = rig.scenes.take()
         loads.append((scene.reached["load"], scene.now["load"]))
     assert loads == [(1.0, 1.0), (1.0, 5.0), (5.0, 5.0)]
+
+
+def test_while_it_is_paused_it_takes_no_action_shows_itself_again_and_is_halted_once() -> None:
+    rig = Rig()
+    control = rig.brain.publisher(keys.CONTROL)
+    rig.act(0)
+    halts = rig.body.halts
+    control.put(messages.Control(iteration=1, paused=True))
+    for _ in range(5):
+        rig.actions.put(order(1, 1.0, rig.now))
+        rig.service.step()
+        rig.now += SHOWN_AGAIN_S
+    assert rig.body.done == [1.0]
+    assert rig.perceptions.take().stamp > rig.now - 2 * SHOWN_AGAIN_S, "the brain sees that it is there"
+    assert rig.body.halts == halts + 1
+    assert rig.service.values()["paused"] == 1.0
+    control.put(messages.Control(iteration=1))
+    rig.service.step()
+    perception = rig.act(1, 0.5)
+    assert perception is not None
+    assert (perception.iteration, rig.body.done) == (2, [1.0, 0.5])
+    assert rig.service.values()["paused"] == 0.0
+
+
+def test_in_a_pause_the_robot_can_be_changed() -> None:
+    rig = Rig(Loaded())
+    rig.act(0)
+    rig.brain.publisher(keys.CONTROL).put(messages.Control(iteration=1, paused=True))
+    rig.brain.publisher(keys.CHANGE).put(messages.Change(settings={"load": 3.0}))
+    rig.service.step()
+    assert rig.body.load == 3.0
+
+
+def test_a_robot_that_is_started_in_a_pause_is_paused() -> None:
+    fabric = Fabric()
+    operator = MemoryBus(fabric, BRAIN)
+    operator.publisher(keys.CONTROL).put(messages.Control(iteration=0, paused=True))
+    body = Rail()
+    service = RobotService(MemoryBus(fabric, BRAIN), body, Rules(), SEED, clock=lambda: 100.0)
+    operator.publisher(keys.ACTION).put(order(0, 1.0, 100.0))
+    service.step()
+    assert body.done == []
+
+
+def test_an_operator_sets_the_least_time_of_an_action_unless_the_pace_is_fixed() -> None:
+    for options, expected in (({}, [0.3, 0.01]), ({"fixed_pace": True}, [0.01, 0.01]), ({"period_s": 1.0}, None)):
+        rig = Rig(action_s=0.01, **options)
+        least = []
+        for asked in (0.3, None):
+            rig.brain.publisher(keys.CONTROL).put(messages.Control(iteration=0, action_s=asked))
+            rig.service.step()
+            least.append(rig.service.values()["least_s"])
+        assert least == (expected or [0.01, 0.01])
+
+
+def test_an_action_takes_as_long_as_the_operator_wants() -> None:
+    rig = Rig()
+    rig.brain.publisher(keys.CONTROL).put(messages.Control(iteration=0, action_s=0.1))
+    rig.service.step()
+    begun_s = time.perf_counter()
+    rig.act(0)
+    assert time.perf_counter() - begun_s >= 0.1
 
 
 # ---- a clocked robot ----

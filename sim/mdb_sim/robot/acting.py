@@ -30,9 +30,13 @@ class Acting:
     ) -> None:
         """`woken` is called, from that thread, when an action is over."""
         self._course, self._least_s, self._woken = course, least_s, woken
+        self._granted_s = least_s
+        """The longest least time while the present action goes on."""
         self._executor = ThreadPoolExecutor(1, "acting") if threaded else None
         self._future: Future[Step] | None = None
-        self._interrupted = threading.Event()
+        self._interrupted = False
+        self._called = threading.Event()
+        """Set when an action that only waits for its least time is to look whether it is over."""
         self.counted = True
         """Whether the action is a new one, not the last one held."""
         self.took_s = 0.0
@@ -46,11 +50,24 @@ class Acting:
 
     def busy_s(self) -> float:
         """Return for how long an action is being carried out, beyond the time that it takes at least."""
-        return time.perf_counter() - self._began_s - self._least_s if self.busy else 0.0
+        return time.perf_counter() - self._began_s - self._granted_s if self.busy else 0.0
+
+    @property
+    def least_s(self) -> float:
+        """How long an action takes at least, in seconds; it holds for the one that goes on, too."""
+        return self._least_s
+
+    @least_s.setter
+    def least_s(self, least_s: float) -> None:
+        if least_s != self._least_s:
+            self._least_s, self._granted_s = least_s, max(least_s, self._granted_s)
+            self._called.set()
 
     def begin(self, values: Mapping[str, float], *, counted: bool = True) -> None:
         """Begin an action; without `counted` it is the last one, held."""
-        self._interrupted.clear()
+        self._interrupted = False
+        self._called.clear()
+        self._granted_s = self._least_s
         self.counted, self._began_s = counted, time.perf_counter()
         if self._executor is not None:
             self._future = self._executor.submit(self._act, values, counted)
@@ -66,8 +83,9 @@ class Acting:
         began_s = time.perf_counter()
         step = self._course.act(values) if counted else self._course.hold(values)
         self.took_s = time.perf_counter() - began_s
-        if self.took_s < self._least_s:
-            self._interrupted.wait(self._least_s - self.took_s)
+        while (left_s := began_s + self._least_s - time.perf_counter()) > 0.0 and not self._interrupted:
+            self._called.wait(left_s)
+            self._called.clear()
         return step
 
     def outcome(self) -> Step | None:
@@ -79,7 +97,8 @@ class Acting:
 
     def halt(self) -> None:
         """Bring the body to rest; an action that is being carried out is over soon."""
-        self._interrupted.set()
+        self._interrupted = True
+        self._called.set()
         self._course.body.halt()
 
     def close(self) -> None:

@@ -5,8 +5,8 @@ is over (a dead-man's switch): an action answers the newest perception by its st
 so neither frozen processes nor clocks nor slow networks make an old action look young. A stamp from the future is
 none of this robot's. While nobody commands it its body is halted, and it shows the same perception again, with a new
 stamp. Until its first action it takes the brain's count of iterations, later only when the brain insists. Goes on
-after its death where it was. Never sees a model, a reward or a note: what the optimizer meant by an action travels
-through it unread.
+after its death where it was. While an operator has it paused it takes no new action. Never sees a model, a reward or
+a note: what the optimizer meant by an action travels through it unread.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ class RobotService:
         seed: int,
         *,
         action_s: float = 0.0,
+        fixed_pace: bool = False,
         changes: Mapping[int, Mapping[str, Any]] | None = None,
         period_s: float | None = None,
         hold_s: float = 1.0,
@@ -63,10 +64,11 @@ class RobotService:
     ) -> None:
         """Reset the body, or put it where `file` says, and show what it perceives.
 
-        `changes`: see `Course`. Every action takes at least `action_s` on the wall. With `period_s` the robot acts
-        every period: an action that does not come is held for `hold_s`, then the body is halted. `threaded`: actions
-        are carried out in a thread, so that what is asked meanwhile is answered, and an action whose commander is
-        silent for `hold_s` is interrupted. Without `deadlines` no action comes too late: for replays.
+        `changes`: see `Course`. Every action takes at least `action_s` on the wall, or as long as an operator says,
+        unless the pace is fixed. With `period_s`, which fixes it, the robot acts every period: an action that does
+        not come is held for `hold_s`, then the body is halted. `threaded`: actions are carried out in a thread, so
+        that what is asked meanwhile is answered, and an action whose commander is silent for `hold_s` is interrupted.
+        Without `deadlines` no action comes too late: for replays.
         """
         self.bus = bus
         self._body, self._file, self._clock = body, file, clock
@@ -84,6 +86,10 @@ class RobotService:
         self._pictures = bus.publisher(keys.PICTURE)
         self._actions = bus.subscriber(keys.ACTION)
         self._asked = bus.subscriber(keys.CHANGE)
+        self._controls = bus.subscriber(keys.CONTROL)
+        self._paused = False
+        """Whether an operator wants no action to be taken."""
+        self._least_s, self._fixed_pace = action_s, fixed_pace or period_s is not None
         self._course = Course(body, rules, seed, changes)
         self._acting = Acting(self._course, least_s=action_s, threaded=threaded, woken=bus.poke)
         self._ticks = None if period_s is None else Clock(period_s, clock())
@@ -121,10 +127,14 @@ class RobotService:
     def step(self) -> bool:
         """Take what an action led to and what is commanded, and act when it is time."""
         moved = self._conclude()
+        while (control := self._controls.take()) is not None:
+            self._obey(control)
         if not self._acting.busy and (asked := self._asked.take()) is not None:
             self._change(asked)
             moved = True
         action = self._actions.take(lambda action: 0 <= action.iteration - self._perception.iteration <= 1)
+        if action is not None and self._paused and not self._is_underway(action):
+            action = None
         if action is not None:
             self._heard_s = self._clock()
             self._take(action)
@@ -140,6 +150,22 @@ class RobotService:
             self._rest()
             self._show()
         return moved
+
+    def _obey(self, control: messages.Control) -> None:
+        """Pause or go on, and take another pace, as an operator wants it. An action that goes on comes to its end."""
+        if control.paused != self._paused:
+            self._paused = control.paused
+            log.info("paused" if self._paused else "going on after a pause", iteration=self._perception.iteration)
+        if self._paused:
+            self._next = None
+            if not self._acting.busy:
+                self._rest()
+        if not self._fixed_pace:
+            self._acting.least_s = self._least_s if control.action_s is None else control.action_s
+
+    def _is_underway(self, action: messages.Action) -> bool:
+        """Whether this is the action that is being carried out."""
+        return self._acting.busy and self._acting.counted and action.iteration == self._perception.iteration
 
     def _change(self, asked: messages.Change) -> None:
         """Change something of the body, and show what is true now."""
@@ -158,8 +184,7 @@ class RobotService:
     def _take(self, action: messages.Action) -> None:
         """Keep an action that is due and not too late, to be carried out next; otherwise show again where we are."""
         now = self._perception.iteration
-        underway = self._acting.busy and self._acting.counted
-        if underway and action.iteration == now:
+        if self._is_underway(action):
             return  # it was sent again
         if action.iteration < now:
             self._show()
@@ -168,7 +193,7 @@ class RobotService:
             self._show()
         elif not self._fits(action):
             pass
-        elif not underway and self._catches_up(action.iteration):
+        elif not (self._acting.busy and self._acting.counted) and self._catches_up(action.iteration):
             self._next = action
         else:
             self.bus.refusals.add(keys.ACTION.path, f"iteration {action.iteration}; now is {now}")
@@ -190,7 +215,7 @@ class RobotService:
             ticks.miss()
         elif self._next is not None:
             self._begin(self._next)
-        elif self._action is not None and self._clock() - self._heard_s <= self._hold_s:
+        elif self._action is not None and not self._paused and self._clock() - self._heard_s <= self._hold_s:
             self._acting.begin(self._action.action, counted=False)
         else:
             self._rest()
@@ -298,8 +323,8 @@ class RobotService:
 
     def values(self) -> dict[str, float]:
         """Iteration, successes, actions that came too late, how often nobody commanded the body, changes that clients
-        made, states that the disk did not take and whether it takes none now, and how long the last action took; of a
-        clocked robot also its jitter, see `Clock.values`.
+        made, states that the disk did not take and whether it takes none now, how long the last action took, whether
+        it is paused, and the least time of an action; of a clocked robot also its jitter, see `Clock.values`.
         """
         counts = {
             "iteration": self._perception.iteration,
@@ -310,6 +335,8 @@ class RobotService:
             "unwritten": self._unwritten,
             "disk_refuses": self._refused,
             "act_s": self._acting.took_s,
+            "paused": self._paused,
+            "least_s": self._acting.least_s,
         }
         clocked = {} if self._ticks is None else self._ticks.values()
         return {name: float(value) for name, value in counts.items()} | clocked

@@ -167,6 +167,7 @@ class Experiment:
             seed,
             changes=self.robot.changes,
             action_s=action_s if period_s is None else 0.0,
+            fixed_pace=self.brain.lockstep,
             period_s=period_s,
             hold_s=self.robot.hold_s,
             file=file,
