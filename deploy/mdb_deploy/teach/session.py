@@ -67,7 +67,7 @@ class TeachingSession:
         brain waits for a note and for feedback, as the experiment file says; None: that is not known.
         """
         self.bus, self.instance, self.policy = bus, name, policy or Reach()
-        self._view = self.view = View(language)
+        self._view = self.view = View(language, auto=auto)
         self._auto, self._player, self._sounds, self._clock = auto, player, listens or player is not None, clock
         self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._record = Record(name)
@@ -106,6 +106,10 @@ class TeachingSession:
         The brain waits for each note and each feedback, but no longer than `turns.MOST_S` for one scene.
         """
         self._order(partial(self._wait, on))
+
+    def play_by_itself(self, on: bool) -> None:
+        """Play the scripted teacher with the person's language from now on, or no longer; from any thread."""
+        self._order(partial(self._play_by_itself, on))
 
     def speak(self, language: Language) -> None:
         """Mean something else by the notes from now on; from any thread."""
@@ -208,6 +212,13 @@ class TeachingSession:
         elif self._auto:
             self._teach(scene, wanted)
 
+    def _play_by_itself(self, on: bool) -> None:
+        self._auto = on
+        self._show(auto=on)
+        scene = self._view.scene
+        if on and scene is not None and not self._view.paused and not self._record.exchange(scene.iteration).spoke:
+            self._teach(scene, self._view.wanted)
+
     def _speak(self, language: Language) -> None:
         """Change the language; the note of this scene, if it is not said yet, has the new meaning already."""
         self._show(language=language)
@@ -281,6 +292,7 @@ class TeachingSession:
     def _be_heard(self, heard: messages.Command) -> None:
         """Learn what the ear made of the sound: of a microphone's, that is all that is known of the note."""
         said = self._record.exchange(heard.iteration)
+        self._show(heard=heard)
         if not said.spoke and heard.note is not None and heard.note < len(self._view.language.notes):
             self._remember(heard.iteration, heard.note)
         elif said.spoke and said.note not in (None, heard.note):

@@ -99,6 +99,10 @@ class View:
     """The other teachers who are there."""
     paused: bool = False
     """Whether this teacher is silent; of the robot, see `control`."""
+    auto: bool = False
+    """Whether the session teaches by itself."""
+    heard: messages.Command | None = None
+    """What the ear heard last in this teacher's sound."""
     waits: bool = False
     """Whether this teacher has asked the brain to wait for him."""
     turn: Turn = Turn()
