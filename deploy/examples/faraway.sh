@@ -32,7 +32,7 @@ link=$near-far lossy ip netns exec "$far"
 cd "$work"
 mdb keys init --host "$net.1" >/dev/null
 mdb keys add-teacher ann >/dev/null
-mdb up --no-teacher --runs runs --keys keys --listen "quic/$net.1:7447" --no-plot "$@" >up.log 2>&1 &
+mdb up paper --no-teacher --runs runs --keys keys --listen "quic/$net.1:7447" --no-plot "$@" >up.log 2>&1 &
 brain=$!
 for _ in $(seq 600); do
   grep -q "begins when somebody teaches" up.log && [ -s runs/*/router.endpoint ] 2>/dev/null && break

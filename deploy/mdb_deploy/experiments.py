@@ -12,11 +12,13 @@ from mdb_services.experiment.reading import nearest
 
 EXPERIMENTS = shipped("experiments")
 SUFFIX = ".toml"
+DEFAULT = "demo"
+"""What `mdb up` runs when nobody names an experiment."""
 
 
-def default_experiment() -> str:
-    """Return the name of the experiment that nobody names: the one in this folder, else the paper's."""
-    return "." if os.path.exists(EXPERIMENT_FILE) else "paper"  # in a folder of others there is none, and no error
+def default_experiment(shipped: str = DEFAULT) -> str:
+    """Return the name of the experiment that nobody names: the one in this folder, else a shipped one."""
+    return "." if os.path.exists(EXPERIMENT_FILE) else shipped  # in a folder of others there is none, and no error
 
 
 def experiment_path(name: str) -> Path:

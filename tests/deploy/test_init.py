@@ -122,7 +122,7 @@ def test_the_experiment_in_this_folder_is_the_one_that_nobody_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert experiment_path(default_experiment()) == EXPERIMENTS / "paper.toml"
+    assert experiment_path(default_experiment()) == EXPERIMENTS / "demo.toml"
     begin(tmp_path, "wheeled")
     assert experiment_path(default_experiment()) == Path("experiment.toml")
 

@@ -26,7 +26,7 @@ KINEMATIC = ["--set", "robot.body=kinematic"]
 def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run whose object and induced models are good enough to be stored."""
     runs = tmp_path_factory.mktemp("taught")
-    words = ["up", "--inline", "--no-plot", "--runs", str(runs), "--seed", "7", "--iterations", "330"]
+    words = ["up", "paper", "--inline", "--no-plot", "--runs", str(runs), "--seed", "7", "--iterations", "330"]
     assert main([*words, *KINEMATIC, "--set", "optimizer.random_iterations=150"]) == 0
     return next(runs.iterdir())
 
@@ -34,7 +34,7 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def other(tmp_path: Path) -> Path:
     run = tmp_path / "other"
-    assert main(["prepare", "--run", str(run), "--seed", "8", *KINEMATIC]) == 0
+    assert main(["prepare", "paper", "--run", str(run), "--seed", "8", *KINEMATIC]) == 0
     return run
 
 
@@ -73,7 +73,7 @@ def test_models_of_another_run_act_at_once(taught: Path, tmp_path: Path) -> None
     words = ["--inline", "--no-plot", "--iterations", "150", "--seed", "8", *KINEMATIC]
     words += ["--set", "optimizer.random_iterations=0", "--set", 'teacher.phase=[{start=0, name="alone"}]']
     for name, more in (("without", []), ("with", ["--long-term", str(taught)])):
-        assert main(["up", *words, "--runs", str(tmp_path / name), *more]) == 0
+        assert main(["up", "paper", *words, "--runs", str(tmp_path / name), *more]) == 0
     records = {name: read_record(next((tmp_path / name).iterdir())) for name in ("without", "with")}
     assert successes(records["with"], (0, 150)) > 25 + successes(records["without"], (0, 150))
 

@@ -35,7 +35,8 @@ def up(endpoint: str, runs: Path, *words: str, settings: tuple[str, ...] = ()) -
     """Start `mdb up` on a router that runs."""
     runs.mkdir(exist_ok=True)
     options = [word for setting in (*SHORT, *settings) for word in ("--set", setting)]
-    command = [sys.executable, "-m", "mdb_deploy.cli", "up", "--runs", str(runs), "--connect", endpoint, "--no-plot"]
+    place = ["--runs", str(runs), "--connect", endpoint]
+    command = [sys.executable, "-m", "mdb_deploy.cli", "up", "paper", "--no-plot", *place]
     return subprocess.Popen([*command, *words, *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
@@ -147,7 +148,7 @@ def test_brains_of_different_names_live_on_one_router_and_the_second_of_a_name_i
             assert f"mdb/other at {endpoint}" in table
             assert f"mdb/pioneer at {endpoint}" in table
 
-            third = mdb("up", "--connect", endpoint, "--no-plot", "--runs", str(tmp_path / "third"))
+            third = mdb("up", "paper", "--connect", endpoint, "--no-plot", "--runs", str(tmp_path / "third"))
             assert third.returncode == 2
             assert f"brain pioneer has its runner/up already: process {first.process.pid} on " in third.stderr
             assert f"in {run}" in third.stderr

@@ -227,7 +227,7 @@ def test_answers_that_the_recorder_heard_too_early_come_when_they_are_due(
 def test_a_run_that_began_with_models_of_another_is_replayed_from_there(tmp_path: Path) -> None:
     committees = [f"model.{name}.members=2" for name in ("object", "induced")]
     settings = [word for setting in (*SHORT, *committees) for word in ("--set", setting)]
-    words = ["up", "--inline", "--no-plot", "--iterations", "30", "--runs", str(tmp_path), *settings]
+    words = ["up", "paper", "--inline", "--no-plot", "--iterations", "30", "--runs", str(tmp_path), *settings]
     source = tmp_path / "source"
     run_experiment(Experiment.read(GOLDEN / "late" / EXPERIMENT_FILE, ["model.object.hidden=[30]"]), source)
     assert main([*words, "--set", "model.communication.hidden=[16]", "--long-term", str(source)]) == 0

@@ -31,7 +31,7 @@ def add(commands: Commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    add_experiment(chaos)
+    add_experiment(chaos, "paper")
     chaos.add_argument("--kills", type=number(1), default=300, help="how many (300)")
     chaos.add_argument(
         "--hangs",

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from mdb_deploy.experiments import default_experiment
+from mdb_deploy.experiments import DEFAULT, default_experiment
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 KEYS_HELP = "your bundle of 'mdb keys', or on the brain's machine the key folder; for a router at tls/ or quic/"
@@ -41,13 +41,13 @@ def add_keys(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--keys", type=keys_path, metavar="PATH", help=KEYS_HELP)
 
 
-def add_experiment(parser: argparse.ArgumentParser) -> None:
-    """Add the experiment file and what changes it."""
+def add_experiment(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:
+    """Add the experiment file and what changes it. `default`: the shipped one that is meant when none is named."""
     parser.add_argument(
         "experiment",
         nargs="?",
-        default=default_experiment(),
-        help="experiment file, its folder, or the name of a shipped one; else the one in this folder, or paper",
+        default=default_experiment(default),
+        help=f"experiment file, its folder, or the name of a shipped one; else the one in this folder, or {default}",
     )
     parser.add_argument("--pace", choices=["concurrent", "lockstep"], help="override the file's pace")
     parser.add_argument("--seed", type=number(0), help="override the file's seed")

@@ -2,7 +2,7 @@
 
 The memories are of seed 90 with the kinematic body. To record them anew:
 
-    mdb up --inline --no-plot --set robot.body=kinematic --iterations 500 --seed 90
+    mdb up paper --inline --no-plot --set robot.body=kinematic --iterations 500 --seed 90
     python -m tests.benchmarks.peers.problem RUN
 """
 
