@@ -1,0 +1,197 @@
+// The top of the page: what the robot does now in plain words, how far the run is, the connection, the theme.
+
+import { el, svg, kept, say, show, themeChanged } from "../draw.js";
+
+const HEADLINES = {
+  obeys: (who) => `Obeying ${who}`,
+  explores: () => "Exploring",
+  alone: () => "On its own",
+  waits: () => "Waiting",
+};
+const WORDS = {
+  obeys: (who) => `It does what the notes of ${who} mean, as far as it knows them.`,
+  explores: () => "It tries actions, to learn what comes of them.",
+  alone: (who) => (who === null ? "Nobody tells it what to do." : `By what it learnt from ${who}.`),
+  waits: () => "Nothing was decided yet.",
+};
+/** Paths of 24 by 24: an ear, a compass, a head start, a pause. */
+const SIGNS = {
+  obeys: "M4 9v6h4l5 4V5L8 9zM16.5 8.5a5 5 0 0 1 0 7M19 6a9 9 0 0 1 0 12",
+  explores: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18zM15.5 8.5l-2 5-5 2 2-5z",
+  alone: "M12 3v3M6 9h12a2 2 0 0 1 2 2v6a2 2 0 0 1-2 2H6a2 2 0 0 1-2-2v-6a2 2 0 0 1 2-2zM9 13v1.5M15 13v1.5",
+  waits: "M9 6v12M15 6v12",
+};
+const THEMES = ["auto", "light", "dark"];
+const THEME_WORDS = { auto: "Colours: as your device", light: "Colours: light", dark: "Colours: dark" };
+const THEME_SIGNS = {
+  auto: "M12 4a8 8 0 1 0 0 16zM12 4a8 8 0 0 1 0 16",
+  light: "M12 8a4 4 0 1 0 0 8 4 4 0 0 0 0-8zM12 2v3M12 19v3M2 12h3M19 12h3M5 5l2 2M17 17l2 2M5 19l2-2M17 7l2-2",
+  dark: "M19 14.5A8 8 0 1 1 9.5 5a6.5 6.5 0 0 0 9.5 9.5z",
+};
+const LINKS = { open: "Connected", connecting: "Connecting", lost: "Connection lost. Trying again" };
+
+export function start(root, { state, on, showLive }) {
+  const sign = path(SIGNS.waits);
+  const headline = el("strong", {}, "Waiting");
+  const words = el("span", {}, "Nothing was decided yet.");
+  const badge = el("div", { class: "badge", id: "badge", "data-kind": "waits", role: "status" },
+    picture(sign), el("div", {}, headline, words));
+  const run = el("p", {}, "");
+  const count = el("strong", {}, "–");
+  const of = el("span", {}, "");
+  const link = el("span", { class: "link", role: "status", id: "link" }, "Connecting");
+  const past = el("button", { type: "button", id: "to-live", click: showLive, hidden: true }, "Back to now");
+  const theme = themeButton();
+  const phases = el("ol", { class: "phases", "aria-label": "Phases of the run" });
+  const trouble = el("p", { class: "trouble", role: "alert", hidden: true });
+  root.append(
+    el("div", { class: "name" },
+      el("img", { src: "/page/icon.svg", alt: "", width: 32, height: 32 }),
+      el("div", {}, el("h1", {}, "Multilevel Darwinist Brain"), run)),
+    badge,
+    el("div", { class: "state" }, past, el("p", { class: "count", id: "iteration" }, count, of), link, theme),
+    phases, trouble);
+
+  const renew = () => {
+    const { kind, title, text } = told(state);
+    if (badge.dataset.kind !== kind) {
+      badge.dataset.kind = kind;
+      sign.setAttribute("d", SIGNS[kind]);
+    }
+    say(headline, title);
+    say(words, text);
+    show(past, state.mode === "past");
+  };
+  for (const part of ["thought", "control", "finished", "mode", "you", "alive"]) on(part, renew);
+
+  on("hello", (hello) => {
+    if (hello === undefined) return;
+    say(run, `${hello.experiment.name} · ${hello.run || hello.brain}`);
+    run.title = hello.experiment.words || "";
+    document.title = `${hello.experiment.name} · Multilevel Darwinist Brain`;
+    say(of, ` of ${hello.experiment.iterations}`);
+    build(phases, hello);
+    progress();
+  });
+  const progress = () => {
+    const at = iteration(state);
+    say(count, at === null ? "–" : String(at));
+    fill(phases, at, state.phase, state.hello);
+  };
+  for (const part of ["scene", "moment", "phase", "rows", "mode"]) on(part, progress);
+  on("connection", (now) => {
+    link.dataset.link = now;
+    say(link, LINKS[now]);
+  });
+  const warn = () => {
+    const text = state.mode === "live" ? state.trouble : null;
+    say(trouble, text ?? "");
+    show(trouble, Boolean(text));
+  };
+  on("trouble", warn);
+  on("mode", warn);
+}
+
+/** The iteration that is shown, null while none is known. */
+export function iteration(state) {
+  if (state.mode === "past" && state.moment !== undefined && state.moment !== null) return state.moment;
+  return state.scene?.iteration ?? state.rows?.iteration.at(-1) ?? null;
+}
+
+/** Who is meant by a teacher's name: "you" for the visitor's own. */
+export function who(name, you) {
+  return name !== null && name !== undefined && name === you?.name ? "you" : (name ?? null);
+}
+
+/** What the badge says of a state. */
+export function told(state) {
+  const { thought, control, finished, you, hello, mode } = state;
+  const kind = Object.hasOwn(HEADLINES, thought?.badge ?? "") ? thought.badge : "waits";
+  const teacher = who(thought?.teacher, you);
+  let title = HEADLINES[kind](teacher ?? "a teacher");
+  let text = own(thought?.badge_words, you?.name) || WORDS[kind](teacher);
+  if (text.toLowerCase() === title.toLowerCase()) text = WORDS[kind](teacher ?? "a teacher");
+  if (mode === "past") title = `Past run · ${title}`;
+  else if (finished) title = `The run is over · ${title}`;
+  else if (control?.paused) title = `Paused · ${title}`;
+  else if (thought === undefined && hello !== undefined && !hello.live) text = "No brain runs now. Open a past run below.";
+  return { kind, title, text };
+}
+
+/** The server's words, with "you" in the place of the visitor's own name, and a capital letter. */
+export function own(words, name) {
+  if (!words) return "";
+  let text = words;
+  if (name) {
+    const escaped = name.replace(/[.*+?^${}()|[\]\\]/g, "\\$&");
+    text = text.replace(new RegExp(`(^|[^\\p{L}\\p{N}_])"?${escaped}"?(?![\\p{L}\\p{N}_])`, "gu"), "$1you");
+  }
+  return text[0].toUpperCase() + text.slice(1);
+}
+
+function build(phases, hello) {
+  const total = hello.experiment.iterations;
+  const all = hello.phases.length > 0 ? hello.phases : [{ start: 0, name: hello.experiment.name, teacher: null }];
+  phases.replaceChildren(...all.map((phase) => {
+    const words = phase.teacher && !phase.name.includes(phase.teacher) ? `${phase.name} · ${phase.teacher}` : phase.name;
+    const made = el("li", { title: `${words}, from iteration ${phase.start}`, "data-start": phase.start,
+      "data-taught": phase.teacher ? "yes" : "no" }, el("i"), el("span", {}, words));
+    return made;
+  }));
+  spread(phases, total);
+}
+
+/** Widths by the iterations of each phase; those that end early are shorter. */
+function spread(phases, total) {
+  const starts = [...phases.children].map((one) => Number(one.dataset.start));
+  for (const [i, one] of [...phases.children].entries()) {
+    one.style.flex = `${Math.max((starts[i + 1] ?? total) - starts[i], 1)} 1 0`;
+  }
+}
+
+function fill(phases, at, phase, hello) {
+  if (hello === undefined) return;
+  const all = [...phases.children];
+  const starts = all.map((one) => Number(one.dataset.start));
+  let now = starts.findLastIndex((start) => at !== null && start <= at);
+  // A phase that was ended by hand began earlier than the file says: its name tells which one it is.
+  const named = hello.phases.findIndex((one) => phase !== undefined && phase !== null && one.name === phase.name);
+  if (named >= 0) now = named;
+  for (const [i, one] of all.entries()) {
+    const end = starts[i + 1] ?? hello.experiment.iterations;
+    const began = i === now && named >= 0 ? Math.min(phase.iteration ?? starts[i], starts[i]) : starts[i];
+    const share = i < now ? 1 : i > now || at === null ? 0 : Math.min(1, (at - began) / Math.max(1, end - began));
+    one.firstChild.style.width = `${(100 * share).toFixed(1)}%`;
+    if (i === now) one.setAttribute("aria-current", "step");
+    else one.removeAttribute("aria-current");
+  }
+}
+
+function themeButton() {
+  const sign = path(THEME_SIGNS.auto);
+  const button = el("button", { type: "button", class: "square", id: "theme" }, picture(sign));
+  const set = (theme) => {
+    if (theme === "auto") delete document.documentElement.dataset.theme;
+    else document.documentElement.dataset.theme = theme;
+    sign.setAttribute("d", THEME_SIGNS[theme]);
+    button.setAttribute("aria-label", THEME_WORDS[theme]);
+    button.title = THEME_WORDS[theme];
+    themeChanged();
+  };
+  let theme = THEMES.includes(kept.get("theme")) ? kept.get("theme") : "auto";
+  button.addEventListener("click", () => {
+    theme = THEMES[(THEMES.indexOf(theme) + 1) % THEMES.length];
+    kept.set("theme", theme);
+    set(theme);
+  });
+  set(theme);
+  return button;
+}
+
+function path(d) {
+  return svg("path", { d, fill: "none", stroke: "currentColor", "stroke-width": 1.8, "stroke-linecap": "round", "stroke-linejoin": "round" });
+}
+
+function picture(drawn) {
+  return svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, drawn);
+}

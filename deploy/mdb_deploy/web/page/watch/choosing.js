@@ -1,0 +1,118 @@
+// How it chooses: the predicted satisfaction of every action as bars, the chosen one, what it promised, what came.
+
+import { el, head, named, painter, say, show, signed, short } from "../draw.js";
+import { own, who } from "./badge.js";
+
+/** Actions of which each bar is drawn thin. */
+const MANY = 9;
+/** A bar is seen at least so much, however little supports it. */
+const FAINTEST = 0.22;
+
+export function start(root, { state, on }) {
+  head(root, "How it chooses", "Each bar is how good the robot predicts an action to be. It takes the outlined one.");
+  const situation = el("div", { class: "situation", id: "situation" });
+  const bars = el("ol", { class: "bars", id: "bars", "aria-label": "Predicted satisfaction of every action" });
+  const low = el("span", {}, "\u2212 bad");
+  const high = el("span", {}, "good +");
+  const axis = el("div", { class: "axis", "aria-hidden": "true" },
+    el("span"), el("div", {}, low, el("span", {}, "0"), high), el("span"));
+  const promised = el("strong", { id: "promised" }, "–");
+  const came = el("strong", { id: "came" }, "–");
+  const cameOf = el("span", {}, "What came");
+  const outcome = el("div", { class: "outcome" },
+    el("div", {}, el("span", {}, "It predicted"), promised), el("span", { class: "arrow", "aria-hidden": "true" }, "→"),
+    el("div", {}, cameOf, came));
+  const why = el("p", { class: "why", id: "why" });
+  const key = el("p", { class: "key" },
+    el("span", {}, "Strong colour: many pairs in its memory are like this. Faint: it only guesses."));
+  const empty = el("p", { class: "empty" }, "It has not chosen anything yet.");
+  root.append(empty, situation, bars, axis, key, outcome, why);
+
+  let made = [];
+  let shape = "";
+  const paint = () => {
+    const thought = state.thought;
+    show(empty, !thought);
+    for (const part of [situation, bars, axis, key, outcome, why]) show(part, Boolean(thought));
+    if (!thought) return;
+    const actions = thought.actions ?? [];
+    const names = JSON.stringify(actions.map((one) => label(one)));
+    if (names !== shape) {
+      shape = names;
+      made = actions.map(row);
+      bars.replaceChildren(...made.map((one) => one.item));
+      bars.dataset.many = actions.length > MANY ? "yes" : "no";
+    }
+    show(bars, actions.length > 0);
+    show(axis, actions.length > 0);
+    show(key, actions.length > 0);
+    const most = Math.max(1, ...actions.map((one) => Math.abs(one.satisfaction ?? 0)), Math.abs(thought.came?.feedback ?? 0));
+    for (const [i, one] of actions.entries()) fill(made[i], one, most, thought);
+    tellSituation(situation, thought, state.you);
+    const predicted = thought.predicted ?? null;
+    tellNumber(promised, predicted);
+    const feedback = thought.came?.feedback ?? null;
+    tellNumber(came, feedback, thought.came ? "no feedback" : "…");
+    const event = thought.came?.event;
+    say(cameOf, event && event !== "none" && event !== "nothing" ? `What came: ${named(event)}` : "What came");
+    say(why, own(thought.why, state.you?.name));
+  };
+  const touch = painter(root, paint);
+  on("thought", touch);
+  on("you", touch);
+}
+
+/** The name of an action, or its values where it has none. */
+function label(action) {
+  if (action.name) return action.name;
+  return Object.entries(action.values ?? {}).map(([name, value]) => `${named(name)} ${short(value)}`).join(", ");
+}
+
+function row(action) {
+  const bar = el("i");
+  const mark = el("b", { hidden: true, title: "What came" });
+  const number = el("span", { class: "number" });
+  const words = el("span", { class: "unseen" });
+  const item = el("li", {},
+    el("span", { class: "label", title: label(action) }, label(action)),
+    el("span", { class: "track", "aria-hidden": "true" }, bar, mark), number, words);
+  return { item, bar, mark, number, words };
+}
+
+function fill(row, action, most, thought) {
+  const value = action.satisfaction;
+  const known = Number.isFinite(value);
+  row.item.dataset.chosen = action.chosen ? "yes" : "no";
+  if (action.chosen) row.item.setAttribute("aria-current", "true");
+  else row.item.removeAttribute("aria-current");
+  row.bar.dataset.sign = value < 0 ? "-" : "+";
+  row.bar.style.transform = `scaleX(${known ? (value / most).toFixed(3) : 0})`;
+  const support = Number.isFinite(action.support) ? Math.max(0, Math.min(1, action.support)) : 1;
+  row.bar.style.opacity = (FAINTEST + (1 - FAINTEST) * support).toFixed(2);
+  say(row.number, known ? signed(value) : "–");
+  const feedback = thought.came?.feedback;
+  const marked = Boolean(action.chosen) && Number.isFinite(feedback);
+  show(row.mark, marked);
+  if (marked) row.mark.style.left = `${(50 + (50 * feedback) / most).toFixed(1)}%`;
+  say(row.words, `, support ${Math.round(100 * support)} percent${action.chosen ? ", chosen" : ""}`);
+}
+
+function tellSituation(box, thought, you) {
+  const teacher = who(thought.teacher, you);
+  const chips = [`Iteration ${thought.iteration}`];
+  if (thought.note !== null && thought.note !== undefined) {
+    chips.push(`It hears note ${thought.note}${teacher ? ` from ${teacher}` : ""}`);
+  } else {
+    chips.push("It hears no note");
+  }
+  if (thought.mode) chips.push(`Mode: ${thought.mode}`);
+  const text = chips.join("\n");
+  if (box.dataset.text === text) return;
+  box.dataset.text = text;
+  box.replaceChildren(...chips.map((words) => el("span", { class: "chip" }, words)));
+}
+
+function tellNumber(element, value, otherwise = "–") {
+  say(element, Number.isFinite(value) ? signed(value) : otherwise);
+  element.className = !Number.isFinite(value) || value === 0 ? "" : value > 0 ? "plus" : "minus";
+}
