@@ -87,9 +87,11 @@ export function faces(onJudge) {
 
 /** The keys of all notes. Renewed by `show`. */
 export class NoteKeys {
-  constructor(onNote) {
+  /** `silence`: the key that says nothing; it is the last one. */
+  constructor(onNote, silence) {
     this.root = el("div", { class: "note-keys", role: "group", "aria-label": "Your notes" });
     this._onNote = onNote;
+    this._silence = silence;
     this._made = "";
     this._keys = [];
   }
@@ -103,7 +105,7 @@ export class NoteKeys {
       this._keys = command.map((meant, note) => this._key(hello, note, hello.commands[meant] ?? `command ${meant}`));
       const focused = this._keys.length && this.root.contains(document.activeElement)
         ? document.activeElement.dataset.note : null;
-      this.root.replaceChildren(...this._keys);
+      this.root.replaceChildren(...this._keys, this._silence);
       if (focused !== null) this.root.querySelector(`[data-note="${focused}"]`)?.focus();
     }
     this._keys.forEach((key, note) => {

@@ -69,9 +69,10 @@ export class Lesson {
 
     this._wanted = el("p", { class: "wanted" });
     this._hint = toggle("Hint", () => this._flip(), { id: "hint", "aria-keyshortcuts": "h", title: "Which note is right now (key h)" });
-    this._notes = new NoteKeys((note) => acts.note(note));
-    this._silence = button(["Say nothing", el("kbd", { "aria-hidden": "true" }, "space")], () => acts.note(null), { class: "silence", "data-note": "none", "aria-label": "Say nothing this time" });
-    this._play = el("div", { class: "step step-play" }, el("h3", {}, "Play"), this._wanted, this._notes.root, this._silence);
+    const silence = button(["say nothing", el("kbd", { "aria-hidden": "true" }, "space")], () => acts.note(null),
+      { class: "note-key silence", "data-note": "none", "aria-label": "Say nothing this time" });
+    this._notes = new NoteKeys((note) => acts.note(note), silence);
+    this._play = el("div", { class: "step step-play" }, el("h3", {}, "Play"), this._wanted, this._notes.root);
 
     this._obedience = el("p", { class: "obedience" });
     this._filled = el("div", { class: "meter-filled" });
@@ -96,7 +97,7 @@ export class Lesson {
     this.root = el("div", { class: "lesson", tabindex: -1, "aria-label": "Your lesson", role: "group" },
       el("div", { class: "counts" }, this._obeyed, this._take, this._give),
       this._trouble,
-      el("div", { class: "turn" }, this._words, this._countdown, el("div", { class: "buttons" }, this._wait, this._hint)),
+      el("div", { class: "turn" }, this._words, el("div", { class: "turn-row" }, this._countdown, this._wait, this._hint)),
       this._notice, this._judge, this._play,
       el("div", { class: "obeys" }, this._obedience, this._meter),
       el("div", { class: "buttons tools" },
