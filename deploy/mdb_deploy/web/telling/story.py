@@ -1,6 +1,7 @@
-"""A run as it goes on, in parts: of each browser those are told that are new for it.
+"""A run as it goes on, in parts: each reader is told those that are new for it.
 
-INTERFACE (this is the first commit; the bodies follow).
+Taking a message keeps it and counts (`kept.heard`); what it means is computed when a part is asked for, and only when
+what it depends on has changed.
 """
 
 from __future__ import annotations
@@ -9,9 +10,24 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from mdb_deploy.web.telling.beliefs import Pairs, beliefs, induced
+from mdb_deploy.web.telling.kept.heard import SPOKE, Heard
+from mdb_deploy.web.telling.kept.rows import AT_ONCE
+from mdb_deploy.web.telling.parts import model_part, percentile_ms, perception_part, picture_part, plain
+from mdb_deploy.web.telling.plan import Plan
+from mdb_deploy.web.telling.thoughts import Around, thought, waiting
 from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
+from mdb_services.mechanism.actions.foresight import Known
 from mdb_sim.runs.experiment import Experiment
+
+WAITS_S = 1.0
+"""After so long without a perception, an action or a report the brain is said to wait."""
+LARGE_S = 0.5
+"""Large parts are renewed no more often."""
+LARGE = ("memory", "models", "induced")
+TEACHER = "teacher/"
+"""Begins the tokens of teachers."""
 
 
 class Story:
@@ -23,35 +39,108 @@ class Story:
 
     def __init__(self, experiment: Experiment, clock: Callable[[], float] | None = time.monotonic) -> None:
         """`clock`: seconds, to tell that the brain waits, and to renew large parts not too often; None: neither."""
+        self.plan = Plan(experiment)
+        self.heard = Heard(self.plan, clock)
+        self._clock = clock
+        self._told: dict[str, int] = {}
+        self._told_s: dict[str, float] = {}
+        self._made: dict[str, tuple[int, Any]] = {}
+        self._waits = False
+        heard = self.heard
+        self._make: dict[str, Callable[[], Any]] = {
+            "scene": lambda: None if heard.scene is None else plain(heard.scene),
+            "perception": lambda: None if heard.perception is None else perception_part(heard.perception),
+            "picture": lambda: None if heard.picture is None else picture_part(heard.picture),
+            "phase": lambda: plain(heard.speech.phases[-1]) if heard.speech.phases else None,
+            "control": lambda: None if heard.control is None else plain(heard.control),
+            "alive": lambda: sorted(heard.tokens or ()),
+            "finished": lambda: heard.finished,
+            "trouble": lambda: heard.words,
+            "thought": self._thought_part,
+            "beliefs": self._beliefs_part,
+            "induced": self._induced_part,
+            "contexts": lambda: [plain(event) for event in heard.contexts],
+            "shelf": self._shelf_part,
+            "teachers": self._teachers_part,
+            "lessons": lambda: [plain(lesson) for of in heard.speech.lessons.values() for lesson in of],
+            "timing": lambda: {f"p{n}_ms": percentile_ms([*heard.timings], n / 100) for n in (50, 99)},
+        }
+
+    # ---- what came ----
 
     def take(self, key: Key | str, message: Message) -> None:
-        """Keep what a message says. Never raises for what is not of this experiment: that is passed over.
+        """Keep what a message says. What is not of this experiment is passed over.
 
         Also taken: PICTURE, MEMORY_SNAPSHOT and KEPT_MODEL (answers to the server's questions, when it comes late).
+        What a key says beside its message is not needed.
         """
+        del key
+        self.heard.take(message)
 
     def alive(self, tokens: Iterable[str]) -> None:
         """Say who is alive: tokens as ROLE/INSTANCE."""
+        self.heard.alive(tokens)
 
     def trouble(self, words: str | None) -> None:
         """Say what is wrong with the run, as the server knows it (the router is gone); None: nothing."""
+        self.heard.trouble(words)
+
+    @property
+    def missing_memories(self) -> tuple[str, ...]:
+        """The models of whose memories changes were missed: who asks for their snapshots may `take` them."""
+        return tuple(name for name, memory in self.heard.memories.items() if not memory.whole)
+
+    # ---- what there is to tell ----
 
     @property
     def versions(self) -> dict[str, int]:
         """Of each part the number of times that it was another; parts that are not known yet are left out."""
-        return {}
+        if self._clock is None:
+            return dict(self.heard.versions)
+        now = self._clock()
+        heard = self.heard
+        waits = not heard.finished and heard.perception is not None and now - heard.moved_s >= WAITS_S
+        if waits != self._waits:
+            self._waits = waits
+            heard.renew("thought")
+        for part, version in heard.versions.items():
+            if version == self._told.get(part):
+                continue
+            if part.startswith(LARGE):
+                if now - self._told_s.get(part, -LARGE_S) < LARGE_S:
+                    continue
+                self._told_s[part] = now
+            self._told[part] = version
+        return dict(self._told)
 
     def part(self, name: str) -> Any:
-        """Return one part, as in the frame `now`; computed when asked for, and only when it has changed."""
+        """Return one part, as in the frame `now`; computed when asked for, and only when it has changed.
+
+        None for one that is not known yet; KeyError for one that there is not.
+        """
+        version = self.heard.versions.get(name, 0)
+        made = self._made.get(name)
+        if made is None or made[0] != version:
+            made = self._made[name] = version, self._maker(name)()
+        return made[1]
+
+    def _maker(self, name: str) -> Callable[[], Any]:
+        kind, _, model = name.partition("/")
+        if kind == "models" and model in self.heard.models:
+            newest = self.heard.models[model].newest
+            return lambda: None if newest is None else model_part(self.plan, newest)
+        if kind == "memory" and model in self.heard.memories:
+            return lambda: self.heard.memories[model].told(self.heard.iteration)
+        return self._make[name]
 
     @property
     def rows_count(self) -> int:
         """Rows so far, those that are no longer kept too: the place of the next row."""
-        return 0
+        return self.heard.rows.count
 
-    def rows(self, since: int, most: int = 4000) -> dict[str, Any]:
+    def rows(self, since: int, most: int = AT_ONCE) -> dict[str, Any]:
         """Return at most `most` rows from place `since` on, as in the frame; `from` is higher where old ones left."""
-        return {}
+        return self.heard.rows.since(since, most)
 
     def parts(self, seen: dict[str, int]) -> dict[str, Any]:
         """Return the frame `now` without `is`: all parts that are new for a reader, and its rows; {} when none is.
@@ -60,4 +149,114 @@ class Story:
         that came late) come again: a page puts what it gets in the place of what it has from `rows.from` on. A frame
         has a bounded number of rows; the next call gives the next ones.
         """
-        return {}
+        found: dict[str, Any] = {}
+        for name, version in self.versions.items():
+            if seen.get(name, 0) >= version:
+                continue
+            seen[name] = version
+            kind, slash, model = name.partition("/")
+            if slash:
+                found.setdefault(kind, {})[model] = self.part(name)
+            else:
+                found[kind] = self.part(name)
+        rows, start = self.heard.rows, seen.get("rows", 0)
+        changed = rows.changed(seen.get("rows changed", 0)) if start else None
+        seen["rows changed"] = rows.revision
+        start = start if changed is None else min(start, changed)
+        if start < rows.count:
+            found["rows"] = rows.since(start)
+            seen["rows"] = found["rows"]["from"] + len(found["rows"]["iteration"])
+        return found
+
+    # ---- the parts that are computed ----
+
+    def _thought_part(self) -> Any:
+        heard = self.heard
+        if self._waits:
+            return waiting(0 if heard.perception is None else heard.perception.iteration, self._waits_for())
+        action = heard.action
+        if action is None:
+            return None
+        versions = {} if action.intention is None else action.intention.versions
+        found = {name: heard.known(name, version) for name, version in versions.items()}
+        report = heard.report if heard.report is not None and heard.report.iteration == action.iteration else None
+        around = Around(tuple(heard.learnt_from), self._teacher_now())
+        return thought(self.plan, action, {n: k for n, k in found.items() if k is not None}, report, around)
+
+    def _waits_for(self) -> str:
+        """Return in words what the brain waits for."""
+        heard = self.heard
+        if heard.control is not None and heard.control.paused:
+            return "is paused"
+        who = heard.obeyed or self._teacher_now()
+        perceived = 0 if heard.perception is None else heard.perception.iteration
+        if heard.action is not None and heard.action.iteration >= perceived:
+            return "waits for the robot"
+        if who is None or not self.plan.notes:
+            return "waits"
+        judged = heard.report is not None and heard.report.iteration >= perceived - 1
+        return f"waits for {who}'s {'note' if judged or perceived == 0 else 'feedback'}"
+
+    def _teacher_now(self) -> str | None:
+        """Return who teaches: a person, or else the scripted teacher of the phase."""
+        return next((str(teacher["name"]) for teacher in reversed(self._teachers_part())), None)
+
+    def _beliefs_part(self) -> Any:
+        models = {name: known for name in self.heard.models if (known := self._newest(name)) is not None}
+        meant = None if self.heard.action is None else self.heard.action.intention
+        return beliefs(self.plan, models, None if meant is None else meant.before)
+
+    def _newest(self, name: str) -> Known | None:
+        newest = self.heard.models[name].newest
+        return None if newest is None else self.heard.known(name, newest.version)
+
+    def _induced_part(self) -> Any:
+        if self.heard.valued is None:
+            return None
+        name, output = self.heard.valued
+        known = self._newest(name)
+        if known is None:
+            return None
+        pairs = self.heard.memories[name].rows()
+        if not len(pairs.inputs) and known.support is not None:
+            pairs = Pairs(known.support, None)
+        return induced(self.plan, name, output, known, pairs)
+
+    def _shelf_part(self) -> list[dict[str, Any]]:
+        shelf: dict[tuple[str, int], dict[str, Any]] = {}
+        for event in self.heard.contexts:
+            if event.stored is None:
+                continue
+            entry = {"model": event.model, "stored": event.stored, "iteration": event.iteration, "uses": 0}
+            entry = shelf.setdefault((event.model, event.stored), entry)
+            entry["uses"] += event.kind == "recalled"
+        return list(shelf.values())
+
+    def _teachers_part(self) -> list[dict[str, Any]]:
+        """Return who is there to teach: the scripted teacher of the phase first, then the others."""
+        heard, now, names = self.heard, self.heard.iteration, dict[str, bool]()
+        phase = heard.speech.phases[-1] if heard.speech.phases else None
+        scripted = heard.control is None or heard.control.script
+        if phase is not None and phase.teacher is not None and scripted:
+            names[phase.teacher] = False
+        for teacher, lessons in heard.speech.lessons.items():
+            if not lessons[-1].over and self._is_there(teacher):
+                names[teacher] = True
+        for teacher, iteration in heard.spoke.items():
+            person = teacher not in self.plan.languages
+            if person and now - iteration <= SPOKE and self._is_there(teacher):
+                names.setdefault(teacher, True)
+        return [
+            {"name": name, "obeyed": name == heard.obeyed, "notes": self._notes(name, now), "person": person}
+            for name, person in names.items()
+        ]
+
+    def _is_there(self, teacher: str) -> bool:
+        return self.heard.tokens is None or f"{TEACHER}{teacher}" in self.heard.tokens
+
+    def _notes(self, teacher: str, now: int) -> list[int] | None:
+        lessons = self.heard.speech.lessons.get(teacher)
+        if lessons and not lessons[-1].over:
+            return list(lessons[-1].notes)
+        language = self.heard.speech.language(teacher, now)
+        return None if language is None else list(language.notes)
