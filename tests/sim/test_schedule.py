@@ -179,3 +179,37 @@ def test_a_scene_that_lacks_what_the_policy_looks_at_is_a_lookup_error() -> None
 def test_sections_of_another_form_are_refused(section: dict[str, Any]) -> None:
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert(section, TeacherSection)
+
+
+def starts(ended: list[int]) -> list[tuple[int, str]]:
+    return [(phase.start, phase.name) for phase in schedule(TWO).with_ended(ended).phases]
+
+
+@pytest.mark.parametrize(
+    ("ended", "expected"),
+    [
+        ([], [0, 10, 20, 30]),
+        ([4], [0, 5, 15, 25]),
+        ([4, 4], [0, 5, 15, 25]),
+        ([4, 7], [0, 5, 8, 18]),
+        ([7, 4], [0, 5, 8, 18]),
+        ([9], [0, 10, 20, 30]),
+        ([0, 1, 2], [0, 1, 2, 3]),
+        ([25], [0, 10, 20, 26]),
+        ([40, 35], [0, 10, 20, 30]),
+    ],
+)
+def test_a_phase_ends_where_it_is_ended_and_later_ones_begin_earlier(ended: list[int], expected: list[int]) -> None:
+    assert starts(ended) == list(zip(expected, ["first", "alone", "second", "one again"], strict=True))
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(st.lists(st.integers(0, 60), max_size=8))
+def test_however_phases_are_ended_each_comes_in_its_order_and_lasts(ended: list[int]) -> None:
+    found = schedule(TWO).with_ended(ended)
+    begins = [phase.start for phase in found.phases]
+    assert begins == sorted(set(begins))
+    assert begins[0] == 0
+    for iteration in ended:
+        last = found.at(iteration).name == "one again"
+        assert (found.at(iteration + 1) is found.at(iteration)) == last

@@ -57,6 +57,9 @@ class Rig:
         self.robot.put(one)
         assert self.teacher.step() is True
 
+    def control(self, **fields: Any) -> None:
+        self.world.publisher(keys.CONTROL).put(messages.Control(iteration=0, **fields))
+
     def said(self, row: keys.Key) -> list[Any]:
         return list(iter(self.heard[row.path].take, None))
 
@@ -76,7 +79,7 @@ def test_the_action_is_judged_where_it_was_begun() -> None:
     rig.show(scene(2, LEFT, before=place(LEFT)))
     feedback = rig.said(keys.FEEDBACK)
     assert [(f.teacher, f.iteration, f.value) for f in feedback] == [("one", 0, 1.0), ("one", 1, -1.0)]
-    assert rig.teacher.values() == {"iteration": 2.0, "rewards": 2.0}
+    assert rig.teacher.values() == {"iteration": 2.0, "rewards": 2.0, "silenced": 0.0}
 
 
 def test_phases_change_teacher_and_language_and_the_last_action_is_still_judged_by_its_teacher() -> None:
@@ -297,3 +300,99 @@ def test_a_scene_that_is_shown_again_is_judged_once(habits: dict[str, Any]) -> N
         for _ in range(3):
             again.show(scene(iteration))
     assert again.said(keys.FEEDBACK) == once.said(keys.FEEDBACK)
+
+
+def test_a_teacher_whom_the_operator_silences_lets_another_be_obeyed_and_judges_nothing_until_he_may_again() -> None:
+    rig = Rig([{"start": 0, "name": "p", "teacher": "one", "language": "paper"}])
+    for iteration in range(2):
+        rig.show(scene(iteration))
+    rig.control(script=False)
+    for iteration in range(2, 5):
+        rig.show(scene(iteration))
+    rig.control()
+    for iteration in range(5, 7):
+        rig.show(scene(iteration))
+    assert [(c.teacher, c.iteration, c.note) for c in rig.said(keys.COMMAND)] == [
+        ("one", 0, 0), ("one", 1, 0), ("script", 2, None), ("one", 2, None), ("script", 3, None), ("script", 4, None),
+        ("one", 5, 0), ("one", 6, 0),
+    ]  # fmt: skip
+    assert [(f.iteration, f.value) for f in rig.said(keys.FEEDBACK)] == [(0, 1.0), (1, None), (5, 1.0)]
+    assert [(p.iteration, p.name, p.teacher) for p in rig.said(keys.PHASE)] == [
+        (0, "p", "one"), (2, "p", None), (5, "p", "one"),
+    ]  # fmt: skip
+
+
+def test_phases_go_on_while_the_teacher_is_silenced() -> None:
+    rig = Rig()
+    rig.control(script=False)
+    for iteration in range(6):
+        rig.show(scene(iteration))
+    assert {c.note for c in rig.said(keys.COMMAND)} == {None}
+    rig.control()
+    rig.show(scene(6))
+    assert [(p.iteration, p.name, p.teacher) for p in rig.said(keys.PHASE)] == [
+        (0, "first", None), (2, "alone", None), (4, "second", None), (6, "second", "two"),
+    ]  # fmt: skip
+    assert [(c.teacher, c.iteration, c.note) for c in rig.said(keys.COMMAND)] == [("two", 6, 6)]
+
+
+def test_a_phase_in_which_nobody_teaches_is_not_cut_by_who_is_silenced() -> None:
+    rig = Rig()
+    for iteration in range(4):
+        rig.control(script=iteration != 3)
+        rig.show(scene(iteration))
+    assert [(p.iteration, p.name) for p in rig.said(keys.PHASE)] == [(0, "first"), (2, "alone")]
+
+
+def test_feedback_that_a_silenced_teacher_owes_is_not_given() -> None:
+    rig = Rig(only(delay=2))
+    for iteration in range(3):
+        rig.show(scene(iteration))
+    rig.said(keys.FEEDBACK)
+    rig.control(script=False)
+    for iteration in range(3, 8):
+        rig.show(scene(iteration))
+    assert [(f.iteration, f.value) for f in rig.said(keys.FEEDBACK)] == [(2, None)]
+
+
+def test_a_scene_that_is_answered_already_is_not_taken_back() -> None:
+    rig = Rig()
+    rig.show(scene(1))
+    rig.said(keys.COMMAND)
+    rig.control(script=False)
+    rig.show(scene(1))
+    assert [(c.teacher, c.iteration, c.note) for c in rig.said(keys.COMMAND)] == [("one", 1, 0)], "as it was said"
+    rig.show(scene(2))
+    assert [(c.teacher, c.note) for c in rig.said(keys.COMMAND)] == [("script", None), ("one", None)]
+
+
+def test_a_phase_that_is_ended_early_is_followed_by_the_next_one() -> None:
+    rig = Rig()
+    rig.show(scene(0))
+    rig.control(ended=[0])
+    rig.show(scene(1))
+    rig.show(scene(2))
+    rig.control(ended=[0, 2])
+    rig.show(scene(3))
+    rig.show(scene(4))
+    assert [(p.iteration, p.name, p.teacher) for p in rig.said(keys.PHASE)] == [
+        (0, "first", "one"), (1, "alone", None), (3, "second", "two"),
+    ]  # fmt: skip
+    assert [(c.teacher, c.note) for c in rig.said(keys.COMMAND)] == [
+        ("one", 0), ("script", None), ("one", None), ("script", None), ("two", 6), ("two", 6),
+    ]  # fmt: skip
+    assert [(f.teacher, f.iteration) for f in rig.said(keys.FEEDBACK)] == [("one", 0), ("two", 3)]
+
+
+def test_a_teacher_that_is_started_again_knows_which_phases_were_ended() -> None:
+    rig = Rig()
+    rig.show(scene(0))
+    rig.control(ended=[0, 1])
+    rig.show(scene(1))
+    rig.said(keys.PHASE)
+    operator = MemoryBus(rig.fabric, BRAIN)
+    operator.publisher(keys.CONTROL).put(messages.Control(iteration=1, ended=[0, 1]))
+    rig.teacher.bus.close()
+    rig.start()
+    rig.show(scene(2))
+    assert [(p.iteration, p.name) for p in rig.said(keys.PHASE)] == [(2, "second")]

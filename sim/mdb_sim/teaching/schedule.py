@@ -6,8 +6,8 @@ Owns the `[teacher]` section. Pure: what is wanted and how what happened is judg
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -117,6 +117,22 @@ class Schedule:
     def at(self, iteration: int) -> Phase:
         """Return the phase of an iteration."""
         return self.phases[bisect_right(self.phases, iteration, key=lambda phase: phase.start) - 1]
+
+    def with_ended(self, ended: Iterable[int]) -> Schedule:
+        """Return the schedule in which the phase that goes on at each of these iterations ends with it.
+
+        The next phase begins with the next iteration, and all later ones begin earlier by as much. The last phase has
+        no next one: it goes on.
+        """
+        phases = list(self.phases)
+        for iteration in sorted(ended):
+            following = bisect_right(phases, iteration, key=lambda phase: phase.start)
+            if following < len(phases):
+                earlier = phases[following].start - (iteration + 1)
+                phases[following:] = [
+                    replace(p, start=p.start - earlier) if earlier else p for p in phases[following:]
+                ]
+        return replace(self, phases=tuple(phases))
 
     def note(self, iteration: int, scene: Mapping[str, float]) -> int | None:
         """Return the note that is played for an iteration that begins here; None: silence."""

@@ -1,14 +1,16 @@
 """The scripted teacher as a service: sees the scene, plays the note of its language, rewards obedience.
 
-Owns the phases of the experiment: who teaches when. Never reads the brain's inside. It keeps two things between
-scenes, which a restarted teacher begins anew: the feedback that a late teacher owes is lost, and one who compares has
-no opinion yet of how well the robot does. A teacher who names no iteration does not judge the scene that a restarted
-one finds: it may have been said, and twice said it would be for another action.
+Owns the phases of the experiment: who teaches when. An operator may end a phase early, and may silence the teacher:
+then the phases go on, and nobody of the experiment's teaches in them. Never reads the brain's inside. It keeps two
+things between scenes, which a restarted teacher begins anew: the feedback that a late teacher owes is lost, and one
+who compares has no opinion yet of how well the robot does. A teacher who names no iteration does not judge the scene
+that a restarted one finds: it may have been said, and twice said it would be for another action.
 """
 
 from __future__ import annotations
 
 from bisect import insort
+from dataclasses import replace
 from operator import itemgetter
 
 from mdb_protocol import keys, messages
@@ -28,7 +30,12 @@ class ScriptedTeacher:
         """Teachers play their notes by `player`; without one they name them."""
         self.bus = bus
         self._player = player
-        self._schedule = schedule
+        self._planned = self._schedule = schedule
+        """As in the experiment file, and with the phases that an operator has ended early."""
+        self._teaches = self._wanted = True
+        """Whether it teaches, and whether the operator wants it to from the next scene on."""
+        self._since = 0
+        """The iteration since which it does, or does not."""
         names = {phase.teacher for phase in schedule.phases if phase.teacher}
         self._commands: dict[str, Publisher] = {n: bus.publisher(keys.COMMAND, teacher=n) for n in names}
         self._audio: dict[str, Publisher] = {n: bus.publisher(keys.AUDIO, teacher=n) for n in names if player}
@@ -43,16 +50,34 @@ class ScriptedTeacher:
         self._iteration = -1
         self._rewards = 0
         self._scenes = bus.subscriber(keys.SCENE)
+        self._controls = bus.subscriber(keys.CONTROL)
 
     def step(self) -> bool:
         """Judge the action that led to the newest scene, then command the next."""
+        while (control := self._controls.take()) is not None:
+            self._schedule, self._wanted = self._planned.with_ended(control.ended), control.script
         scene = self._scenes.take(lambda scene: 0 <= scene.iteration - self._iteration <= 1)
         if scene is None:
             return False
+        self._turn(scene)
         self._judge(scene)
         self._command(scene)
         self._iteration = scene.iteration
         return True
+
+    def _turn(self, scene: messages.Scene) -> None:
+        """Begin to teach, or end it, if the operator wants that; to a scene that is shown again all is said."""
+        if self._wanted != self._teaches:
+            self._teaches = self._wanted
+            self._since = scene.iteration + (scene.iteration == self._iteration)
+            self._owed.clear()
+
+    def _at(self, iteration: int) -> Phase:
+        """Return the phase of an iteration; nobody teaches in it while the operator does not want it."""
+        phase, since = self._schedule.at(iteration), iteration >= self._since
+        if since and phase.teacher is not None:
+            phase = replace(phase, start=max(phase.start, self._since))
+        return phase if self._teaches == since else replace(phase, teacher=None, language=None)
 
     def _judge(self, scene: messages.Scene) -> None:
         """Give the feedback that is due, and say "not now" where it comes later, or not at all."""
@@ -61,15 +86,18 @@ class ScriptedTeacher:
         iteration = scene.iteration - 1
         if iteration < 0 or scene.iteration == self._iteration:  # a robot that waits shows it again
             return
-        phase = self._schedule.at(iteration)
+        phase = self._at(iteration)
         if phase.teacher is None:
+            return
+        named = iteration if phase.habits.named else None
+        if not self._teaches:  # the brain need not wait for it
+            self._reward(messages.Feedback(teacher=phase.teacher, iteration=named, value=None))
             return
         try:
             judgement = self._schedule.judgement(iteration, scene)
         except LookupError as error:
             self.bus.refusals.add(keys.SCENE.path, f"no {error} in the scene; the policy looks at it")
             return
-        named = iteration if phase.habits.named else None
         if judgement is None:
             self._reward(messages.Feedback(teacher=phase.teacher, iteration=named, value=None))
             return
@@ -95,9 +123,9 @@ class ScriptedTeacher:
         self._rewards += message.value is not None
 
     def _command(self, scene: messages.Scene) -> None:
-        phase = self._schedule.at(scene.iteration)
+        phase = self._at(scene.iteration)
         before = self._phase or self._schedule.at(max(0, scene.iteration - 1))  # as the one knew who died before us
-        if phase is not self._phase:
+        if phase != self._phase:
             self._phases.put(messages.Phase(iteration=phase.start, name=phase.name, teacher=phase.teacher))
         if phase.teacher is None or phase.language is None:
             self._silent.put(messages.Command(teacher=self.instance, iteration=scene.iteration, note=None))
@@ -125,8 +153,9 @@ class ScriptedTeacher:
             self._audio[teacher].put(frame)
 
     def values(self) -> dict[str, float]:
-        """Last iteration seen, and rewards and punishments given."""
-        return {"iteration": float(self._iteration), "rewards": float(self._rewards)}
+        """Last iteration seen, rewards and punishments given, and whether an operator has silenced it."""
+        values = {"iteration": self._iteration, "rewards": self._rewards, "silenced": not self._teaches}
+        return {name: float(value) for name, value in values.items()}
 
     def close(self) -> None:
         """Nothing to free."""
