@@ -196,7 +196,8 @@ export function short(value) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const size = Math.abs(value);
   if (size !== 0 && (size < 0.001 || size >= 1e5)) return value.toExponential(1).replace("-", "\u2212");
-  const text = size >= 100 ? value.toFixed(0) : size >= 10 ? value.toFixed(1) : value.toFixed(2);
+  const places = size >= 100 ? 0 : size >= 10 ? 1 : size >= 0.1 || size === 0 ? 2 : size >= 0.01 ? 3 : 4;
+  const text = value.toFixed(places);
   return text.replace("-", "\u2212");
 }
 
@@ -214,4 +215,17 @@ export function ticks(low, high, count) {
 /** A channel's name in words: "next.angle" is "next angle". */
 export function named(name) {
   return String(name).replaceAll(".", " ").replaceAll("_", " ");
+}
+
+/**
+ * What each column of a network's inputs or outputs is, in words. A channel in one-hot code has one for each of its
+ * values; which of the channels it is, is told by how many columns there are, and notes are the usual ones.
+ * Returns [{name, part: number or null}].
+ */
+export function columns(names, count) {
+  const wide = Math.max(0, names.findIndex((name) => name === "note" || name.endsWith(".note")));
+  const parts = count - names.length + 1;
+  return names.flatMap((name, i) => (i === wide && parts > 1
+    ? Array.from({ length: parts }, (_, part) => ({ name: named(name), part }))
+    : [{ name: named(name), part: null }]));
 }

@@ -110,7 +110,9 @@ export function told(state) {
   const teacher = who(thought?.teacher, you);
   let title = HEADLINES[kind](teacher ?? "a teacher");
   let text = own(thought?.badge_words, you?.name) || WORDS[kind](teacher);
-  if (text.toLowerCase() === title.toLowerCase()) text = WORDS[kind](teacher ?? "a teacher");
+  // The headline need not be said twice.
+  if (text.toLowerCase().startsWith(title.toLowerCase())) text = capital(text.slice(title.length).replace(/^[\s,.:]+/, ""));
+  if (text === "") text = WORDS[kind](teacher ?? "a teacher");
   if (mode === "past") title = `Past run · ${title}`;
   else if (finished) title = `The run is over · ${title}`;
   else if (control?.paused) title = `Paused · ${title}`;
@@ -126,7 +128,11 @@ export function own(words, name) {
     const escaped = name.replace(/[.*+?^${}()|[\]\\]/g, "\\$&");
     text = text.replace(new RegExp(`(^|[^\\p{L}\\p{N}_])"?${escaped}"?(?![\\p{L}\\p{N}_])`, "gu"), "$1you");
   }
-  return text[0].toUpperCase() + text.slice(1);
+  return capital(text);
+}
+
+function capital(text) {
+  return text.slice(0, 1).toUpperCase() + text.slice(1);
 }
 
 function build(phases, hello) {

@@ -114,5 +114,6 @@ function tellSituation(box, thought, you) {
 
 function tellNumber(element, value, otherwise = "–") {
   say(element, Number.isFinite(value) ? signed(value) : otherwise);
+  element.toggleAttribute("data-words", !Number.isFinite(value));
   element.className = !Number.isFinite(value) || value === 0 ? "" : value > 0 ? "plus" : "minus";
 }

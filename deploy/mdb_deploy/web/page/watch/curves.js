@@ -80,9 +80,15 @@ function positive(value) {
   return value === null ? null : Math.max(value, LOWEST_ERROR);
 }
 
+/** Moments of the long-term memory. A model that is stored again and again is marked fully at its first time alone. */
 function marks(state) {
-  return (state.contexts ?? []).filter((one) => one.kind === "stored" || one.kind === "recalled")
-    .map((one) => ({ ...one, ink: modelColour(state.hello, one.model) }));
+  const known = new Set();
+  return (state.contexts ?? []).filter((one) => one.kind === "stored" || one.kind === "recalled").map((one) => {
+    const name = `${one.model} ${one.stored}`;
+    const again = one.kind === "stored" && known.has(name);
+    known.add(name);
+    return { ...one, again, ink: modelColour(state.hello, one.model) };
+  });
 }
 
 /** One chart: a figure with a heading, drawn by uPlot, made anew when its curves or the theme are other ones. */
@@ -166,6 +172,7 @@ function errorRange(low, high) {
 }
 
 function tick(value, log) {
+  if (value === null || value === undefined) return "";
   if (!log) return String(value);
   const power = Math.log10(value);
   if (Math.abs(power - Math.round(power)) > 1e-6) return "";
@@ -208,7 +215,8 @@ function markBefore(u, { marks: all, moment }) {
     if (at < bbox.left || at > bbox.left + bbox.width) continue;
     ctx.strokeStyle = ctx.fillStyle = colour(one.ink);
     ctx.lineWidth = 2 * scale;
-    const size = 6 * scale;
+    ctx.globalAlpha = one.again ? 0.45 : 1;
+    const size = (one.again ? 3 : 6) * scale;
     // Stored: a full triangle that points down, into the shelf; recalled: an empty one that points up, out of it.
     const tip = one.kind === "stored" ? 1 : -1;
     ctx.beginPath();
@@ -219,6 +227,7 @@ function markBefore(u, { marks: all, moment }) {
     if (one.kind === "stored") ctx.fill();
     else ctx.stroke();
   }
+  ctx.globalAlpha = 1;
   if (moment !== null && moment !== undefined) {
     const at = u.valToPos(moment, "x", true);
     ctx.strokeStyle = colour("ink");

@@ -41,9 +41,9 @@ export function start(root, { state, on }) {
     context.imageSmoothingEnabled = true;
     context.imageSmoothingQuality = "high";
     context.drawImage(picture, frame.left, frame.top, frame.width, frame.height);
-    const toX = (value) => frame.left + ((value - x.low) / (x.high - x.low)) * frame.width;
-    const toY = (value) => frame.top + frame.height - ((value - y.low) / (y.high - y.low)) * frame.height;
-    axes(context, frame, x, y, toX, toY);
+    const toX = (value) => frame.left + place(x, value) * frame.width;
+    const toY = (value) => frame.top + frame.height - place(y, value) * frame.height;
+    axes(context, frame, withUnit(x, state.hello), withUnit(y, state.hello), toX, toY);
     context.save();
     context.beginPath();
     context.rect(frame.left, frame.top, frame.width, frame.height);
@@ -51,7 +51,7 @@ export function start(root, { state, on }) {
     for (const [px, py, feedback] of points ?? []) {
       context.beginPath();
       context.arc(toX(px), toY(py), 3.2, 0, 2 * Math.PI);
-      context.fillStyle = `rgb(${diverging(feedback / most, "panel").join(" ")})`;
+      context.fillStyle = feedback === null ? faint("muted", 0.6) : `rgb(${diverging(feedback / most, "panel").join(" ")})`;
       context.fill();
       context.lineWidth = 1;
       context.strokeStyle = faint("ink", 0.75);
@@ -81,6 +81,21 @@ export function start(root, { state, on }) {
     show(box, Boolean(induced));
     touch();
   });
+}
+
+/** Where a value is along an axis, 0 to 1: columns of the picture are as far from each other, its values need not be. */
+function place(axis, value) {
+  const { values } = axis;
+  const last = values.length - 1;
+  const i = Math.max(0, Math.min(last - 1, values.findLastIndex((one) => one <= value)));
+  return (i + (value - values[i]) / (values[i + 1] - values[i])) / last;
+}
+
+/** The value at a place along an axis. */
+function valueAt(axis, share) {
+  const at = share * (axis.values.length - 1);
+  const i = Math.min(axis.values.length - 2, Math.floor(at));
+  return axis.values[i] + (at - i) * (axis.values[i + 1] - axis.values[i]);
 }
 
 function heat(canvas, z, most) {
@@ -142,11 +157,17 @@ function axisName(axis) {
   return axis.unit ? `${named(axis.name)} (${axis.unit})` : named(axis.name);
 }
 
+/** An axis with the unit of its actuator, where it is one and the server names none. */
+function withUnit(axis, hello) {
+  const unit = axis.unit ?? hello?.actuators?.[axis.name.split(".").at(-1)]?.unit;
+  return { ...axis, unit };
+}
+
 function at({ x, y, z }, frame, [px, py]) {
   const [u, v] = [(px - frame.left) / frame.width, 1 - (py - frame.top) / frame.height];
   if (u < 0 || u > 1 || v < 0 || v > 1) return null;
   const value = z[Math.min(z.length - 1, Math.floor(v * z.length))][Math.min(z[0].length - 1, Math.floor(u * z[0].length))];
-  return `${named(x.name)} ${short(x.low + u * (x.high - x.low))}, ${named(y.name)} ${short(y.low + v * (y.high - y.low))}: predicted satisfaction ${signed(value)}`;
+  return `${named(x.name)} ${short(valueAt(x, u))}, ${named(y.name)} ${short(valueAt(y, v))}: predicted satisfaction ${signed(value)}`;
 }
 
 function inWords({ x, y, z, points }) {
@@ -156,6 +177,6 @@ function inWords({ x, y, z, points }) {
     if (value > z[best[0]][best[1]]) best = [i, j];
     if (value < z[worst[0]][worst[1]]) worst = [i, j];
   }));
-  const place = ([i, j]) => `${named(x.name)} ${short(x.values[j])} and ${named(y.name)} ${short(y.values[i])}, ${signed(z[i][j])}`;
-  return `Predicted satisfaction over ${named(x.name)} and ${named(y.name)}, from ${points?.length ?? 0} pairs. Best at ${place(best)}. Worst at ${place(worst)}.`;
+  const where = ([i, j]) => `${named(x.name)} ${short(x.values[j])} and ${named(y.name)} ${short(y.values[i])}, ${signed(z[i][j])}`;
+  return `Predicted satisfaction over ${named(x.name)} and ${named(y.name)}, from ${points?.length ?? 0} pairs. Best at ${where(best)}. Worst at ${where(worst)}.`;
 }

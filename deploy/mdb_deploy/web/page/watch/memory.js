@@ -1,6 +1,6 @@
 // The memories: each model's short-term memory as a field of pairs, and the shelf of the long-term memory.
 
-import { canvasIn, choices, colour, diverging, el, faint, head, modelColour, named, painter, say, show, short, signed, teller } from "../draw.js";
+import { canvasIn, choices, colour, columns, diverging, el, faint, head, modelColour, named, painter, say, show, short, signed, teller } from "../draw.js";
 
 const MOST_SLOTS = 400;
 const MOST_MOMENTS = 40;
@@ -9,7 +9,7 @@ const HEIGHT = 132;
 const KINDS = {
   changed: (model) => `${model}: the world is another one now. What was learnt before may be wrong.`,
   known: (model) => `${model}: the new situation is learnt.`,
-  stored: (model, stored) => `${model}: stored in the long-term memory as number ${stored}.`,
+  stored: (model, stored, again) => `${model}: stored in the long-term memory as number ${stored}${again ? ", better than before" : ""}.`,
   recalled: (model, stored) => `${model}: number ${stored} fits again, and acts at once.`,
 };
 
@@ -31,8 +31,9 @@ export function start(root, { state, on }) {
   const shelf = el("ul", { class: "shelf", id: "shelf", "aria-label": "Models in the long-term memory" });
   const bare = el("p", { class: "empty" }, "Nothing is stored yet. A model is stored when its world changes, and comes back when it fits again.");
   const moments = el("ol", { class: "moments", id: "moments", tabindex: "0", "aria-label": "Moments of change, storing and recall" });
-  root.append(pick.box, empty, used, box, which, pair,
-    el("h3", {}, "Long-term memory"), bare, shelf, moments);
+  root.append(el("div", { class: "memories" },
+    el("div", {}, el("h3", {}, "Short-term memory"), pick.box, empty, used, box, which, pair),
+    el("div", {}, el("h3", {}, "Long-term memory"), bare, shelf, moments)));
   const tell = teller(box);
   tell("No pairs yet.");
 
@@ -54,7 +55,7 @@ export function start(root, { state, on }) {
     drawSlots(context, cells, pairs, pointed, state.hello, model);
     const newest = youngest(pairs);
     const shown = pairs[pointed ?? -1] ?? newest;
-    const oldest = pairs.reduce((old, one) => (old === null || one.age > old.age ? one : old), null);
+    const oldest = pairs.reduce((old, one) => (old === null || (one.age ?? 0) > (old.age ?? 0) ? one : old), null);
     const kind = shown === newest ? "The newest pair" : shown === oldest ? "The oldest pair" : "A pair";
     say(which, shown ? `${kind}${Number.isFinite(shown.age) ? `, ${shown.age} iterations old` : ""}:` : "");
     tellPair(pair, shown, state.hello?.models.find((one) => one.name === model));
@@ -83,12 +84,18 @@ export function start(root, { state, on }) {
     touch();
   });
 
-  const renew = painter(shelf.parentElement, () => {
+  const renew = painter(root, () => {
     const books = state.shelf ?? [];
     show(bare, books.length === 0);
     show(shelf, books.length > 0);
     list(shelf, books.map((one) => JSON.stringify(one)), (text) => book(JSON.parse(text), state.hello));
-    const all = (state.contexts ?? []).slice(-MOST_MOMENTS).toReversed();
+    const known = new Set();
+    const all = (state.contexts ?? []).map((one) => {
+      const name = `${one.model} ${one.stored}`;
+      const again = known.has(name);
+      known.add(name);
+      return { ...one, again };
+    }).slice(-MOST_MOMENTS).toReversed();
     show(moments, all.length > 0);
     list(moments, all.map((one) => JSON.stringify(one)), (text) => moment(JSON.parse(text)));
   }, REST_MS);
@@ -106,7 +113,7 @@ function book(one, hello) {
 
 function moment(one) {
   const words = KINDS[one.kind] ?? ((model) => `${model}: ${one.kind}`);
-  return el("li", { "data-kind": one.kind }, el("span", { class: "at" }, one.iteration), el("span", {}, words(one.model, one.stored)));
+  return el("li", { "data-kind": one.kind }, el("span", { class: "at" }, one.iteration), el("span", {}, words(one.model, one.stored, one.again)));
 }
 
 /** Make a list again only when it is another one. */
@@ -195,10 +202,13 @@ function tellPair(box, pair, model) {
 
 function told(values, names, sign) {
   if (values === null || values === undefined) return [];
-  const entries = Array.isArray(values)
-    ? values.map((value, i) => [values.length === names?.length ? names[i] : `${names?.join(", ") ?? "value"} ${i}`, value])
-    : Object.entries(values);
-  return entries.map(([name, value]) => [sign + named(name), name.includes("feedback") ? signed(value) : number(value)]);
+  if (!Array.isArray(values)) return Object.entries(values).map(([name, value]) => [sign + named(name), number(value)]);
+  const made = new Map();
+  for (const [i, { name, part }] of columns(names ?? ["value"], values.length).entries()) {
+    if (part === null) made.set(name, name.includes("feedback") ? signed(values[i]) : number(values[i]));
+    else if (!made.has(name) || values[i] > values[i - part + made.get(name)]) made.set(name, part);
+  }
+  return [...made].map(([name, value]) => [sign + name, String(value)]);
 }
 
 function number(value) {

@@ -1,6 +1,6 @@
 // The networks: each model with its inputs, its hidden units, expressed and silent, its outputs, and its weights.
 
-import { canvasIn, colour, el, faint, head, modelColour, named, painter, rgb, say, show, short, teller } from "../draw.js";
+import { canvasIn, colour, columns, el, faint, head, modelColour, painter, rgb, say, show, short, teller } from "../draw.js";
 
 const HEIGHT = 230;
 const RADIUS = 5;
@@ -60,9 +60,13 @@ function network(model, state) {
     const { layers, weights, version, error, generation } = net.shown;
     const hidden = total(net.shown.expressed ?? layers.slice(1, -1));
     const silent = total(net.shown.silent ?? 0);
+    if (!weights) {
+      say(words, `error ${short(error)} · ${hidden} units expressed: too many weights to draw.`);
+      return;
+    }
     say(words, `error ${short(error)} · ${hidden} units expressed, ${silent} silent · generation ${generation ?? version}`);
     tell(`Network of the model ${model.name}: ${layers[0]} inputs, ${hidden} expressed and ${silent} silent hidden units, ${layers.at(-1)} outputs, error ${short(error)}.`);
-    draw(context, width, height, net.shown, inputNames(model, layers[0]), outputNames(model, layers.at(-1)), silent);
+    draw(context, width, height, net.shown, namesOf(model.inputs, layers[0]), namesOf(model.outputs, layers.at(-1)), silent);
   }, REST_MS);
   return net;
 }
@@ -160,21 +164,9 @@ function cut(context, words, room) {
   return text;
 }
 
-/** A name for each input: a channel in one-hot code has one for each of its values. */
-function inputNames(model, count) {
-  return spread(model.inputs, count);
-}
-
-function outputNames(model, count) {
-  return spread(model.outputs, count);
-}
-
-function spread(names, count) {
-  if (names.length === count) return names.map(named);
-  // One of the channels is in as many parts as are left; notes are the usual ones.
-  const wide = Math.max(0, names.findIndex((name) => name === "note" || name.endsWith(".note")));
-  const parts = count - names.length + 1;
-  return names.flatMap((name, i) => (i === wide && parts > 1 ? Array.from({ length: parts }, (_, k) => `${named(name)} ${k}`) : [named(name)]));
+/** A name for each input or output. */
+function namesOf(channels, count) {
+  return columns(channels, count).map(({ name, part }) => (part === null ? name : `${name} ${part}`));
 }
 
 function total(value) {

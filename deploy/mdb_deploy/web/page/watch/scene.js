@@ -77,7 +77,7 @@ export function start(root, page) {
       }
     } else {
       image = imageOf = null;
-      if (drawing) take(view, drawing, state.mode);
+      if (drawing) take(view, drawing, state.mode, box.clientWidth / Math.max(1, box.clientHeight));
       else view.after = null;
     }
     show(waiting, !picture && !state.scene);
@@ -114,7 +114,7 @@ export function start(root, page) {
 }
 
 /** Take a new drawing: from what is shown now, in about the time until the next one comes. */
-function take(view, drawing, mode) {
+function take(view, drawing, mode, aspect) {
   const now = performance.now();
   if (view.came > 0) view.every = 0.7 * view.every + 0.3 * Math.min(LONGEST_MS / 0.8, now - view.came);
   view.came = now;
@@ -125,7 +125,7 @@ function take(view, drawing, mode) {
   view.after = drawing;
   view.from = now;
   view.lasts = still ? 0 : Math.max(SHORTEST_MS, Math.min(LONGEST_MS, 0.8 * view.every));
-  const window = follow(view.windowTo, drawing);
+  const window = follow(view.windowTo, drawing, aspect || 1);
   if (window !== view.windowTo) {
     view.windowFrom = mode === "past" ? null : (view.windowNow ?? view.windowTo);
     view.windowTo = window;

@@ -1,6 +1,9 @@
 // Pure: what the curves show, from the rows.
 
-/** The mean of the last `count` values that are there, at each place; null where none was for `gap` rows. */
+/**
+ * The mean of the last `count` values that are there, at each place; null where none was for `gap` rows, or too few of
+ * them, a quarter of `count`, for a mean.
+ */
 export function runningMean(values, count, gap) {
   const held = [];
   const made = new Array(values.length).fill(null);
@@ -20,7 +23,7 @@ export function runningMean(values, count, gap) {
       sum += value;
       if (held.length > count) sum -= held[held.length - 1 - count];
     }
-    if (since <= gap && held.length > 0) made[i] = sum / Math.min(held.length, count);
+    if (since <= gap && held.length >= count / 4) made[i] = sum / Math.min(held.length, count);
   }
   return made;
 }

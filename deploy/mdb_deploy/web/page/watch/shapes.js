@@ -5,13 +5,18 @@ const STEP = Math.SQRT2;
 /** A window that shows so much more than it must becomes smaller. */
 const FAR_TOO_WIDE = 2;
 
-/** The window for a drawing, {x, y, span}: the same as long as all that must be seen is in it and it is not far too wide. */
-export function follow(window, drawing) {
+/**
+ * The window for a drawing, {x, y, span}: the same as long as all that must be seen is in it and it is not far too wide.
+ * `span` is what is seen along the shorter side; aspect: width by height of where it is drawn.
+ */
+export function follow(window, drawing, aspect) {
   const [left, low, right, high] = drawing.box;
-  const needed = Math.hypot(right - left, high - low);
+  const [across, up] = [Math.max(1, aspect), Math.max(1, 1 / aspect)];
+  const needed = Math.max((right - left) / across, (high - low) / up);
   if (window !== null && window.span <= FAR_TOO_WIDE * needed) {
-    const seen = [left, right].every((x) => [low, high].every((y) => Math.hypot(x - window.x, y - window.y) <= window.span / 2));
-    if (seen) return window;
+    const inX = Math.max(right - window.x, window.x - left) <= (window.span * across) / 2;
+    const inY = Math.max(high - window.y, window.y - low) <= (window.span * up) / 2;
+    if (inX && inY) return window;
   }
   const steps = Math.ceil(Math.log(needed) / Math.log(STEP) - 1e-9);
   return { x: (left + right) / 2, y: (low + high) / 2, span: STEP ** steps };
