@@ -37,9 +37,9 @@ class Story:
     shelf, teachers, lessons, timing; and, one for each model, `models/NAME` and `memory/NAME`.
     """
 
-    def __init__(self, experiment: Experiment, clock: Callable[[], float] | None = time.monotonic) -> None:
+    def __init__(self, experiment: Experiment | Plan, clock: Callable[[], float] | None = time.monotonic) -> None:
         """`clock`: seconds, to tell that the brain waits, and to renew large parts not too often; None: neither."""
-        self.plan = Plan(experiment)
+        self.plan = experiment if isinstance(experiment, Plan) else Plan(experiment)
         self.heard = Heard(self.plan, clock)
         self._clock = clock
         self._told: dict[str, int] = {}
