@@ -25,6 +25,7 @@ from mdb_deploy.cli import (
     study,
     teach,
     up,
+    web,
 )
 from mdb_deploy.cli.failing import let_go, told, unbreakable
 from mdb_deploy.cli.parsing import Parser, own_version
@@ -41,7 +42,7 @@ first steps:
   mdb status                              who is alive, and how each process does
   mdb plot RUN                            the figures again, from the run's log alone
 """
-ORDER = (up, init, teach, change, status, plot, study, ltm, past, keys, check_robot, chaos, check, run)
+ORDER = (up, web, init, teach, change, status, plot, study, ltm, past, keys, check_robot, chaos, check, run)
 """The commands, as `mdb --help` lists them."""
 
 

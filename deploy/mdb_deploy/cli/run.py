@@ -6,23 +6,29 @@ import argparse
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, add_keys, content_of
 from mdb_deploy.experiments import experiment_path
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
+if TYPE_CHECKING:
+    from mdb_services.shell.heartbeat import Heart
+    from mdb_services.shell.service import Stopper
+
 
 def add(commands: Commands) -> None:
     """Add `run`, `prepare`, `follow` and `warm-up`: what compose.yaml calls."""
     run = commands.add_parser("run", help="run one service (compose does this)", allow_abbrev=False)
-    run.add_argument("service", help="router, recorder, memory, evolver, optimizer, robot, teacher or ear")
+    run.add_argument("service", help="router, recorder, memory, evolver, optimizer, robot, teacher, ear or web")
     run.add_argument("--run", type=Path, help="run folder with experiment.toml")
     run.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
-    run.add_argument("--listen", help="router: its endpoint; port 0: any free one")
+    run.add_argument("--listen", help="router: its endpoint; port 0: any free one. web: HOST:PORT of the page")
     add_keys(run)
-    run.add_argument("--open-to-everyone", action="store_true", help=f"router: {OPEN_HELP}")
+    run.add_argument("--open-to-everyone", action="store_true", help=f"router and web: {OPEN_HELP}")
     run.add_argument("--model", help="evolver: the model it evolves")
+    run.add_argument("--runs", type=Path, help="web: where past runs are")
     run.add_argument("--gui", action="store_true", help="robot: show the PyBullet window")
     run.add_argument("--with-parent", type=int, metavar="PID", help="stop when this, the parent process, is gone")
     run.add_argument(
@@ -48,7 +54,14 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.running.processes import SERVICES, RouterOptions, ServiceOptions, run_router, run_service
+    from mdb_deploy.running.processes import (
+        SERVICES,
+        WEB,
+        RouterOptions,
+        ServiceOptions,
+        run_router,
+        run_service,
+    )
     from mdb_deploy.running.unattended import run_unattended
     from mdb_services.experiment.reading import nearest
     from mdb_services.shell.heartbeat import CLOSE_S, START_S, Heart
@@ -66,12 +79,33 @@ def _run(arguments: argparse.Namespace) -> int:
             RouterOptions(run, arguments.listen, keys, arguments.open_to_everyone, until_finished), stop, heart
         )
         return 0
+    if arguments.service == WEB:
+        return _run_web(arguments, stop, heart)
     if arguments.service not in SERVICES:
         raise MdbError(f"no service {arguments.service!r}{nearest(arguments.service, SERVICES)}")
     if run is None:
         raise MdbError(f"mdb run {arguments.service} needs --run FOLDER; 'mdb prepare --run FOLDER' makes one")
     options = ServiceOptions(run, arguments.connect, arguments.model, arguments.gui, keys, until_finished)
     run_service(arguments.service, options, stop, heart)
+    return 0
+
+
+def _run_web(arguments: argparse.Namespace, stop: Stopper, heart: Heart) -> int:
+    """Serve the page of the brain in the run folder; where its router is, is in that folder if it is not said."""
+    from mdb_deploy.cli.web import address_of
+    from mdb_deploy.web.live.finding import Place
+    from mdb_deploy.web.serve import WebOptions, serve
+
+    if arguments.run is None:
+        raise MdbError("mdb run web needs --run FOLDER; 'mdb web' finds the brain itself")
+    host, port = address_of(arguments.listen)
+    place = Place(arguments.connect or None, arguments.run, keys=arguments.keys)
+    runs = arguments.runs or arguments.run.parent
+    serve(
+        WebOptions(place, host, port, runs, open_to_everyone=arguments.open_to_everyone),
+        stop,
+        heart,
+    )
     return 0
 
 

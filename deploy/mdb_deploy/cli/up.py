@@ -5,12 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, content_of, keys_path
+from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, content_of, keys_path, number
 from mdb_deploy.cli.plot import draw
 from mdb_deploy.experiments import experiment_path
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from mdb_deploy.running.up import Web
 
 NOTHING_DONE = 2
 """Exit status of a run that ended well and of which no iteration is in the log."""
@@ -40,6 +46,8 @@ def add(commands: Commands) -> None:
     up.add_argument(
         "--no-robot", action="store_true", help="no robot of ours: begin when one has come (mdb keys duties)"
     )
+    up.add_argument("--web", action="store_true", help="with a page: watch and teach it in the browser (extra 'web')")
+    up.add_argument("--web-port", type=number(1, 65535), metavar="N", help="the page's port (8787, or the next free)")
     up.set_defaults(command=_up, goes_on=True)
 
 
@@ -49,6 +57,8 @@ def _check_words(arguments: argparse.Namespace) -> None:
         raise MdbError("--inline runs everything in one process: leave --no-robot and --connect out")
     if arguments.connect and (arguments.listen or arguments.open_to_everyone):
         raise MdbError("--connect starts no router: leave --listen and --open-to-everyone out")
+    if arguments.inline and (arguments.web or arguments.web_port):
+        raise MdbError("--inline runs everything in one process, without a page: leave --web out")
     if arguments.no_robot and arguments.gui:
         raise MdbError("--gui shows the PyBullet window of our robot: leave it out with --no-robot")
     if arguments.resume is not None and (arguments.inline or arguments.long_term):
@@ -91,6 +101,8 @@ def _up(arguments: argparse.Namespace) -> int:
 
         experiment.write(run / EXPERIMENT_FILE)
         ltm.bring(arguments.long_term, (), run)
+    console = console_of(sys.stdout)
+    web = _web(arguments, listen, run, console)
     options = UpOptions(
         run,
         listen,
@@ -100,8 +112,8 @@ def _up(arguments: argparse.Namespace) -> int:
         await_teacher=arguments.no_teacher,
         await_robot=arguments.no_robot,
         connect=arguments.connect,
+        web=web,
     )
-    console = console_of(sys.stdout)
     console.print(f"{section.name}: {section.iterations} iterations, {section.pace}, seed {section.seed}")
     where = arguments.connect or (f"$(cat {run / ENDPOINT_FILE})" if listen.endswith(":0") else listen)
     if arguments.no_robot:
@@ -109,16 +121,50 @@ def _up(arguments: argparse.Namespace) -> int:
     if arguments.no_teacher and not arguments.inline:
         bundle = " --keys YOUR_BUNDLE" if arguments.keys else ""
         console.print(f"begins when somebody teaches: mdb teach --connect {where}{bundle}", soft_wrap=True)
-    run_it = up_inline if arguments.inline else up_processes
-    status = run_it(experiment, options, Progress(console, experiment))
-    if not (run / EXPERIMENT_FILE).exists():
-        raise MdbError(f"the run folder {run} was deleted or moved away: there are no results in its place")
-    if not arguments.no_plot:
-        console.print("drawing the figures")
-        try:
-            draw([run], None)
-        except EmptyLogError as error:
-            console.print(f"no figures: {error}", soft_wrap=True)
-            status = status or NOTHING_DONE
-    console.print(f"results: {run}", soft_wrap=True)
-    return status
+    status = 0
+
+    def over() -> None:
+        """Draw the figures, and say where the results are."""
+        nonlocal status
+        if not (run / EXPERIMENT_FILE).exists():
+            raise MdbError(f"the run folder {run} was deleted or moved away: there are no results in its place")
+        if not arguments.no_plot:
+            console.print("drawing the figures")
+            try:
+                draw([run], None)
+            except EmptyLogError as error:
+                console.print(f"no figures: {error}", soft_wrap=True)
+                status = NOTHING_DONE
+        console.print(f"results: {run}", soft_wrap=True)
+
+    progress = Progress(console, experiment)
+    if arguments.inline:
+        ended = up_inline(experiment, options, progress)
+        over()
+    else:
+        ended = up_processes(experiment, options, progress, over)
+    return ended or status
+
+
+def _web(arguments: argparse.Namespace, listen: str, run: Path, console: Console) -> Web | None:
+    """Return the page of this run, None without one; MdbError, before anything is started, when it cannot be."""
+    if not (arguments.web or arguments.web_port):
+        return None
+    arguments.extra = "web"
+    from mdb_deploy.running.up import Web
+    from mdb_deploy.web.live.finding import Place
+    from mdb_deploy.web.serve import WebOptions, bind, check, guard_of
+    from mdb_protocol import endpoints
+
+    host = "127.0.0.1" if arguments.keys is None else endpoints.parse(listen).host
+    options = WebOptions(Place(keys=arguments.keys), host, arguments.web_port)
+    check(options)
+    with bind(host, arguments.web_port) as free:
+        port = free.getsockname()[1]
+    guard = guard_of(options, port)
+
+    def say() -> None:
+        for what, link in guard.links():
+            console.print(f"{what}: {link}", soft_wrap=True)
+
+    return Web(host, port, run.parent, say, lambda: console.print("the page goes on; Ctrl-C ends it"))

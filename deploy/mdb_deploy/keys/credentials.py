@@ -1,7 +1,7 @@
 """The key folder of `mdb keys`: an authority, certificates signed by it, and who of their holders is admitted.
 
     ca.pem, ca-key.pem     the authority: its key never leaves the folder
-    router.pem             what the router shows
+    router.pem, page.pem   what the router shows, and the page of `mdb up --web`
     brains/NAME.pem        what the processes of a brain show; teachers/, viewers/: bundles to carry away
     access.json5           who is admitted, and to what; a certificate that is not in it is worth nothing
 
@@ -50,7 +50,9 @@ COMMON_NAME_LIMIT = 64
 ALWAYS = ("localhost", "127.0.0.1", "::1")
 """Hosts that the router's certificate is always for, besides this machine's name."""
 PUBLIC_PEM, PRIVATE_PEM = "ca.pem", "ca-key.pem"
-ROUTER = "router"
+ROUTER, PAGE = "router", "page"
+RENEWED_EARLIER = timedelta(days=7)
+"""So long before its end the page's certificate is made anew."""
 
 
 class KeyFolder:
@@ -155,6 +157,27 @@ class KeyFolder:
         section = access.read(self.path / access.ACCESS_FILE)
         return RouterKeys(shown, section, list(access.users(section).values()))
 
+    def hosts(self) -> list[str]:
+        """Return the names and addresses by which others reach this machine, as the router's certificate says."""
+        return _hosts(self.path / f"{ROUTER}.pem")
+
+    def page_certificate(self, host: str) -> Path:
+        """Return what the page shows to browsers: a certificate for all hosts of the router's, and for `host`.
+
+        It is made when it is not there, ends soon, or is not for these hosts; ConfigError when `host` is none.
+        """
+        path = self.path / f"{PAGE}.pem"
+        hosts = list(dict.fromkeys((*self.hosts(), *([host] if host and not _is_any(host) else []))))
+        with self._locked():
+            if path.exists():
+                until = bundle.Bundle.read(path).until
+                lasts = until is not None and until - RENEWED_EARLIER > datetime.now(UTC)
+                if lasts and set(hosts) <= set(_hosts(path)):
+                    return path
+            names = x509.SubjectAlternativeName([_host(each) for each in hosts])
+            self._issue(path, "the page", PAGE, {"role": PAGE}, names=names)
+        return path
+
     def _renew(self) -> str:
         return f"mdb keys renew --keys {self.path}"
 
@@ -254,6 +277,14 @@ def _host(host: str) -> x509.GeneralName:
             f"{host!r} is neither a host name nor an address; expected one as in brain.lan or 192.168.1.5"
         )
     return x509.DNSName(host)
+
+
+def _is_any(host: str) -> bool:
+    """Whether a host to listen at stands for all of this machine's."""
+    try:
+        return ipaddress.ip_address(host).is_unspecified
+    except ValueError:
+        return False
 
 
 def _hosts(path: Path) -> list[str]:

@@ -24,6 +24,7 @@ ROUTER = "router"
 TEACHER = "teacher"
 EAR = "ear"
 OPTIMIZER = "optimizer"
+WEB = "web"
 ROBOT = "robot"
 
 
@@ -39,6 +40,8 @@ class ProcessSpec:
     restarts: bool
     awaits: tuple[str, ...] = ()
     """Roles: not started before somebody of each is alive."""
+    needed: bool = True
+    """Whether the run ends when it cannot be kept alive, and begins only with it."""
 
     def argv(self, variables: Mapping[str, str]) -> list[str]:
         """Return the command with its variables filled in; a word that is empty then is left out."""
@@ -87,6 +90,7 @@ def _spec(path: Path, name: str, row: Mapping[str, Any]) -> ProcessSpec:
         token=str(test[2]),
         environment={str(k): str(v) for k, v in (row.get("environment") or {}).items()},
         restarts=row.get("restart", "no") != "no",
+        needed=bool(row.get("x-mdb-needed", True)),
     )
 
 
@@ -102,8 +106,13 @@ def in_order(specs: Mapping[str, ProcessSpec]) -> dict[str, ProcessSpec]:
     return ordered
 
 
-def for_experiment(specs: Mapping[str, ProcessSpec], experiment: Experiment) -> dict[str, ProcessSpec]:
-    """Return the processes an experiment needs: an evolver a model, a teacher and an ear only if the file has one."""
+def for_experiment(
+    specs: Mapping[str, ProcessSpec], experiment: Experiment, *, web: bool = False
+) -> dict[str, ProcessSpec]:
+    """Return the processes an experiment needs: an evolver a model, a teacher and an ear only if the file has one.
+
+    web: with the page.
+    """
     evolvers = {s.command[s.command.index("--model") + 1]: s for s in specs.values() if "--model" in s.command}
     if not evolvers:
         raise ConfigError("the compose file has no evolver (a command with --model) to take as a pattern")
@@ -113,6 +122,8 @@ def for_experiment(specs: Mapping[str, ProcessSpec], experiment: Experiment) -> 
         chosen.pop(TEACHER, None)
     if experiment.brain.ear is None:
         chosen.pop(EAR, None)
+    if not web:
+        chosen.pop(WEB, None)
     names = [model.name for model in experiment.brain.model]
     for name in names:
         spec = evolvers.get(name) or _for_model(pattern, name)

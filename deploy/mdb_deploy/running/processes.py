@@ -40,7 +40,8 @@ INSTANCES = {
     "recorder": "log", "memory": "store", "optimizer": "action", "robot": "body", "teacher": "script", "ear": "notes",
 }  # fmt: skip
 """The only instance of each role, as its class says; an evolver's is its model. Known before a class is imported."""
-SERVICES = ("router", EVOLVER, *INSTANCES)
+WEB = "web"
+SERVICES = ("router", EVOLVER, *INSTANCES, WEB)
 CONNECT_S = 10.0
 PORT_FREE_S = 5.0
 LEAVE_S, FAREWELL_S = 15.0, 1.0

@@ -106,6 +106,7 @@ class Runner:
         self._logs, self._alive = logs, alive
         self._stopping = False
         self._tasks: list[asyncio.Task[None]] = []
+        self._keeping: dict[str, asyncio.Task[None]] = {}
         self.children = {name: Child(spec, logs / f"{name}.log") for name, spec in specs.items()}
         self.failed: asyncio.Future[StartError] = asyncio.get_running_loop().create_future()
 
@@ -121,11 +122,13 @@ class Runner:
 
     async def start(self, on_ready: Callable[[str], None] = lambda _: None) -> None:
         """Start every process once those it waits for are ready; StartError when one does not become ready."""
-        work = [self._listen(), *(self._keep(child, on_ready) for child in self.children.values())]
-        self._tasks = [asyncio.create_task(each) for each in work]
+        self._keeping = {
+            name: asyncio.create_task(self._keep(child, on_ready)) for name, child in self.children.items()
+        }
+        self._tasks = [asyncio.create_task(self._listen()), *self._keeping.values()]
         for task in self._tasks:
             task.add_done_callback(self._look_at)
-        while not all(child.been_ready for child in self.children.values()):
+        while not all(child.been_ready for child in self.children.values() if child.spec.needed):
             await asyncio.wait({self.failed}, timeout=PAUSE_S)
             if self.failed.done():
                 raise self.failed.result()
@@ -154,6 +157,9 @@ class Runner:
             if status == UNHEARD:
                 self.replace_router(f"it gave {child.spec.name} nothing any more")
             if (why := self._why_give_up(child, status, how)) is not None:
+                if not child.spec.needed:
+                    log.error("the run goes on without it", name=child.spec.name, reason=f"it {why}")
+                    return
                 self._fail(f"{child.spec.name} {why}. Its last lines ({child.log_path}):\n{child.last_lines()}")
                 return
             await asyncio.sleep(child.backoff_s)
@@ -253,6 +259,19 @@ class Runner:
     def _fail(self, why: str) -> None:
         if not self.failed.done():
             self.failed.set_result(StartError(why))
+
+    async def stop_but(self, *names: str) -> None:
+        """Stop every process but these, which are looked after as before."""
+        stopped = [child for name, child in self.children.items() if name not in names]
+        for child in stopped:
+            if (keeping := self._keeping.get(child.spec.name)) is not None:
+                keeping.cancel()
+        for child in reversed(stopped):
+            _signal(child, signal.SIGTERM)
+        await _wait_all([child.process for child in stopped if child.process], STOP_S)
+        for child in stopped:
+            _signal(child, signal.SIGKILL)
+            child.ready = False
 
     async def stop(self) -> None:
         """Stop every process, those first that others do not wait for; none is left after two seconds."""

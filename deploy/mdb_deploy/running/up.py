@@ -11,11 +11,11 @@ import fcntl
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mdb_deploy.running.compose import OPTIMIZER, ROBOT, ROUTER, TEACHER, elsewhere, for_experiment, read
+from mdb_deploy.running.compose import OPTIMIZER, ROBOT, ROUTER, TEACHER, WEB, elsewhere, for_experiment, read
 from mdb_deploy.running.processes import ENDPOINT_FILE
 from mdb_deploy.running.progress import Progress
 from mdb_deploy.running.runner import Runner, StartError
@@ -34,6 +34,38 @@ POLL_S = 0.05
 STALLED_S = 60.0
 """Without a new iteration for so long, and what the brain waits for a teacher besides, the run is given up."""
 ENDED_BY_USER = 130
+OPENS_S, OPEN_LOOK_S = 60.0, 0.02
+"""Bound on the page's coming, and how often it is looked for."""
+
+
+@dataclass(frozen=True)
+class Web:
+    """The page of a run: where it listens, where past runs are, what to call when it opens, and when it stays."""
+
+    host: str
+    port: int
+    runs: Path
+    on_open: Callable[[], None]
+    on_stay: Callable[[], None]
+
+    @property
+    def listen(self) -> str:
+        """The place as the console's command line takes it."""
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+    async def opens(self) -> None:
+        """Call `on_open` once the page can be opened; a page that does not come is told of in its log."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
+        until_s = time.monotonic() + OPENS_S
+        while time.monotonic() < until_s:
+            try:
+                _, writer = await asyncio.open_connection(host, self.port)
+            except OSError:
+                await asyncio.sleep(OPEN_LOOK_S)
+                continue
+            writer.close()
+            self.on_open()
+            return
 
 
 @dataclass(frozen=True)
@@ -51,6 +83,8 @@ class UpOptions:
     """Start no robot: let the experiment begin when one has come."""
     connect: str | None = None
     """Start no router: join this one."""
+    web: Web | None = None
+    """Serve the page, and go on with that when the run is over."""
 
 
 def check_connect(connect: str, keys: Path | None, brain: str) -> None:
@@ -106,11 +140,19 @@ def up_inline(experiment: Experiment, options: UpOptions, progress: Progress) ->
     return ENDED_BY_USER if told else 0
 
 
-def up_processes(experiment: Experiment, options: UpOptions, progress: Progress) -> int:
-    """Run the processes of the compose file; return the exit status."""
+def up_processes(
+    experiment: Experiment, options: UpOptions, progress: Progress, on_over: Callable[[], None] = lambda: None
+) -> int:
+    """Run the processes of the compose file; return the exit status. `on_over`: called when the run is over.
+
+    With a page that goes on meanwhile, and then until told to stop.
+    """
     with _alone_in(options.run):
         experiment.write(options.run / EXPERIMENT_FILE)
-        return asyncio.run(_up(experiment, options, progress))
+        status = asyncio.run(_up(experiment, options, progress, on_over))
+    if options.web is None or status:
+        on_over()
+    return status
 
 
 @contextlib.contextmanager
@@ -124,7 +166,9 @@ def _alone_in(run: Path) -> Iterator[None]:
         yield
 
 
-async def _up(experiment: Experiment, options: UpOptions, progress: Progress) -> int:
+async def _up(
+    experiment: Experiment, options: UpOptions, progress: Progress, on_over: Callable[[], None]
+) -> int:
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -137,8 +181,11 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
         "MDB_CONNECT": options.connect or "",
         "MDB_KEYS": str(options.keys or ""),
         "MDB_OPEN": "--open-to-everyone" if options.open_to_everyone else "",
+        "MDB_WEB_OPEN": "",
     }
-    specs = for_experiment(read(), experiment)
+    if options.web is not None:
+        variables |= {"MDB_WEB": options.web.listen, "MDB_RUNS": str(options.web.runs)}
+    specs = for_experiment(read(), experiment, web=options.web is not None)
     if options.gui and not options.await_robot:
         specs[ROBOT] = replace(specs[ROBOT], command=(*specs[ROBOT].command, "--gui"))
     if options.await_teacher or options.await_robot:
@@ -158,6 +205,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
             watch.join(options.connect)
             write_whole(options.run / ENDPOINT_FILE, options.connect.encode())
         with progress:
+            opening = asyncio.create_task(options.web.opens()) if options.web is not None else None
             starting = asyncio.create_task(runner.start(progress.ready))
             stopped = asyncio.create_task(stop.wait())
             await asyncio.wait({starting, stopped}, return_when=asyncio.FIRST_COMPLETED)
@@ -167,10 +215,25 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress) ->
             else:
                 status = ENDED_BY_USER
                 starting.cancel()
+            if opening is not None:
+                opening.cancel()
+        if options.web is not None and status == 0:
+            await runner.stop_but(WEB, ROUTER)
+            await asyncio.to_thread(on_over)
+            options.web.on_stay()
+            await _serve_on(watch, runner, stop)
+            return 0
     finally:
         await runner.stop()
         watch.close()
     return ENDED_BY_USER if stop.is_set() else status
+
+
+async def _serve_on(watch: Watch, runner: Runner, stop: asyncio.Event) -> None:
+    """Go on with the page until told to stop."""
+    while not stop.is_set() and not runner.failed.done():
+        watch.alive()
+        await asyncio.sleep(POLL_S)
 
 
 async def _follow(watch: Watch, runner: Runner, stop: asyncio.Event, progress: Progress) -> int:
