@@ -86,6 +86,11 @@ class Story:
         self.heard.trouble(words)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The parts that are not of one model, `picture` aside."""
+        return tuple(name for name in self._make if name != "picture")
+
+    @property
     def missing_memories(self) -> tuple[str, ...]:
         """The models of whose memories changes were missed: who asks for their snapshots may `take` them."""
         return tuple(name for name, memory in self.heard.memories.items() if not memory.whole)
@@ -159,13 +164,20 @@ class Story:
                 found.setdefault(kind, {})[model] = self.part(name)
             else:
                 found[kind] = self.part(name)
+        if (rows := self.new_rows(seen)) is not None:
+            found["rows"] = rows
+        return found
+
+    def new_rows(self, seen: dict[str, int]) -> dict[str, Any] | None:
+        """Return the rows that are new for a reader, as `parts` does; None when none is."""
         rows, start = self.heard.rows, seen.get("rows", 0)
         changed = rows.changed(seen.get("rows changed", 0)) if start else None
         seen["rows changed"] = rows.revision
         start = start if changed is None else min(start, changed)
-        if start < rows.count:
-            found["rows"] = rows.since(start)
-            seen["rows"] = found["rows"]["from"] + len(found["rows"]["iteration"])
+        if start >= rows.count:
+            return None
+        found = rows.since(start)
+        seen["rows"] = found["from"] + len(found["iteration"])
         return found
 
     # ---- the parts that are computed ----
