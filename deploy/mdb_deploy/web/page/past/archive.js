@@ -43,7 +43,7 @@ export class Archive {
     return [
       typeof run.experiment === "string" ? run.experiment : run.experiment?.name,
       run.iterations ? `${run.iterations} iterations` : null,
-      typeof when === "number" ? new Date(when * 1000).toLocaleString() : when,
+      typeof when === "number" ? new Date(when * 1000).toLocaleString([], { dateStyle: "medium", timeStyle: "short" }) : when,
       run.live ? "runs now" : null,
       run.trouble ?? null,
     ].filter(Boolean).join(" · ");

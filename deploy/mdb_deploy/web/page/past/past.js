@@ -1,6 +1,6 @@
 // Past runs: the list, one of them on a time line, what can be downloaded, and a link to a moment.
 
-import { button, el, press, say, show, toggle } from "../teach/dom.js";
+import { button, el, press, say, show, svg, toggle } from "../teach/dom.js";
 import { Archive } from "./archive.js";
 import { TimeLine } from "./timeline.js";
 
@@ -78,7 +78,8 @@ class Past {
     this._play = toggle("Play", () => (this._timer ? this._stop() : this._start()), { id: "past-play" });
     this._speed = el("select", { id: "past-speed", "aria-label": "Pace of playing" },
       ...SPEEDS.map((speed) => el("option", { value: speed, selected: speed === 5 }, `${speed} a second`)));
-    const step = (words, label, by) => button(words, () => { this._stop(); by(); }, { "aria-label": label, title: label, class: "square" });
+    const step = (path, label, by) => button(svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true", class: "step-sign" }, svg("path", { d: path })),
+      () => { this._stop(); by(); }, { "aria-label": label, title: label, class: "square" });
     this._link = button("Copy link to this moment", () => this._copy(), { id: "past-link" });
     this._files = el("div", { class: "files" });
     this._open = el("div", { class: "past-open", hidden: true },
@@ -86,9 +87,9 @@ class Past {
         button("Back to now", () => this._leave(), { class: "aside primary", id: "past-close" })),
       this._line.root, this._key,
       el("div", { class: "buttons past-buttons" },
-        step("⏮", "Phase before", () => this._phase(-1)), step("◀", "One iteration back", () => this._go(this._at - 1)),
+        step("M6 5v14M19 5L9 12l10 7z", "Phase before", () => this._phase(-1)), step("M16 5L7 12l9 7z", "One iteration back", () => this._go(this._at - 1)),
         this._play,
-        step("▶", "One iteration on", () => this._go(this._at + 1)), step("⏭", "Next phase", () => this._phase(1)),
+        step("M8 5l9 7-9 7z", "One iteration on", () => this._go(this._at + 1)), step("M18 5v14M5 5l10 7-10 7z", "Next phase", () => this._phase(1)),
         this._speed, this._where, this._link),
       this._files);
     root.append(list, this._said, this._open);

@@ -101,7 +101,8 @@ class Guide {
     say(this._title, STEPS[step].title);
     say(this._words, STEPS[step].words);
     say(this._said, "");
-    this._back.disabled = step === 0;
+    this._back.hidden = step === 0;
+    say(this._skip, last ? "Close" : "Skip");
     this._next.hidden = last;
     this._teach.hidden = !last;
     this._watch.hidden = !last;

@@ -7,8 +7,8 @@ const NOTICE_MS = 5000;
 
 /** What the teacher is to do now. */
 const TURNS = {
-  both: "Your turn: judge what it did, then play the next note.",
-  play: "Your turn: play a note.",
+  both: "Your turn: judge, then play.",
+  play: "Your turn: play a note, then judge.",
   judge: "Your turn: judge what it did.",
   watch: "Watch what it does.",
   over: "The run is over.",
@@ -44,7 +44,7 @@ export class Lesson {
     const acts = this._acts;
     this._obeyed = el("p", { class: "who-counts", "aria-live": "polite" });
     this._take = button("Take over from the scripted teacher", () => acts.script(false), { id: "take-over", class: "primary" });
-    this._give = button("Give back to the scripted teacher", () => acts.script(true), { id: "give-back" });
+    this._give = button("Give back to the script", () => acts.script(true), { id: "give-back", title: "The scripted teacher teaches again" });
     this._trouble = el("p", { class: "trouble", role: "status" });
     this._notice = el("p", { class: "notice", role: "status" });
     this._words = el("p", { id: "turn-words", class: "turn-words", "aria-live": "polite", "aria-atomic": "true" });
@@ -63,9 +63,7 @@ export class Lesson {
     this._judge = el("div", { class: "step step-judge" },
       el("h3", {}, "Judge"), this._last, this._advice,
       el("div", { class: "faces", role: "group", "aria-label": "Your feedback" }, ...this._faces),
-      el("div", { class: "exact" }, el("span", { class: "plain" }, "exact:"), this._slider, this._give_exact,
-        el("span", { class: "plain keys-help" }, "keys ", el("kbd", {}, "0"), " worst to ", el("kbd", {}, "9"), " best, ",
-          el("kbd", {}, "−"), " ", el("kbd", {}, "+"), " full")));
+      el("div", { class: "exact" }, el("span", { class: "plain" }, "exact:"), this._slider, this._give_exact));
 
     this._wanted = el("p", { class: "wanted" });
     this._hint = toggle("Hint", () => this._flip(), { id: "hint", "aria-keyshortcuts": "h", title: "Which note is right now (key h)" });
@@ -95,7 +93,7 @@ export class Lesson {
           this._list)));
 
     this.root = el("div", { class: "lesson", tabindex: -1, "aria-label": "Your lesson", role: "group" },
-      el("div", { class: "counts" }, this._obeyed, this._take, this._give),
+      el("div", { class: "counts" }, this._obeyed, this._take),
       this._trouble,
       el("div", { class: "turn" }, this._words, el("div", { class: "turn-row" }, this._countdown, this._wait, this._hint)),
       this._notice, this._judge, this._play,
@@ -103,10 +101,16 @@ export class Lesson {
       el("div", { class: "buttons tools" },
         this._sound,
         button("Language", acts.language, { id: "open-language", "aria-keyshortcuts": "l", title: "What your notes mean (key l)" }),
-        this._ear, this._silent, this._auto,
+        this._ear, this._silent, this._auto, this._give,
         button("Leave", acts.leave, { id: "leave", class: "leave", "aria-keyshortcuts": "q", title: "Leave (key q)" })),
-      this._hears, exchanges);
+      this._hears, exchanges, this._keysHelp());
     this._showExact();
+  }
+
+  _keysHelp() {
+    const key = (letter, words) => [el("kbd", {}, letter), ` ${words}  `];
+    return el("p", { class: "plain keys-help" }, "Keys: ", ...key("0", "worst to"), ...key("9", "best,"), ...key("−", "and"), ...key("+", "full,"),
+      ...key("space", "say nothing,"), ...key("p", "stay silent,"), ...key("l", "language,"), ...key("h", "hint,"), ...key("q", "leave."));
   }
 
   _flip() {
@@ -153,7 +157,7 @@ export class Lesson {
     press(this._hint, this.hint);
     press(this._sound, tools.sound);
     press(this._silent, you.paused);
-    press(this._auto, tools.auto);
+    press(this._auto, you.auto);
     press(this._ear, tools.microphone);
     show(this._ear, hello.ear);
     show(this._hears, tools.microphone);
@@ -169,7 +173,7 @@ export class Lesson {
   }
 
   _showTurn(hello, you, turn) {
-    const mine = you.paused ? "You stay silent. The robot goes on without you." : TURNS[turn.kind] ?? TURNS.watch;
+    const mine = you.paused ? "You stay silent. It goes on without you." : TURNS[turn.kind] ?? TURNS.watch;
     say(this._words, mine);
     this.root.dataset.turn = you.paused ? "watch" : turn.kind;
     const left_s = turn.left_s;
@@ -231,7 +235,7 @@ export class Lesson {
     const advice = judged !== null ? `You gave ${signed(judged)}.`
       : !this.hint || !said ? ""
         : last.obeyed === true ? "It obeyed: praise it."
-          : last.obeyed === false ? "It did not obey: punish it. If it was nearly right, punish less." : "";
+          : last.obeyed === false ? "It did not obey: punish it, less if it was near." : "";
     say(this._advice, advice);
     for (const key of this._faces) press(key, judged !== null && Math.abs(Number(key.dataset.value) - judged) < 0.01);
     this._judge.classList.toggle("is-due", ["judge", "both"].includes(turn.kind) && !you.paused);

@@ -9,6 +9,8 @@ import { Sound } from "./sound.js";
 
 /** What a name may be on the wire: letters, digits, dot, line, underline; at most 64. */
 const NAME = /[^A-Za-z0-9_.-]+/g;
+const RETURN_MS = 60000;
+const AGAIN_MS = 1000;
 const LANGUAGES = { random: "random: by chance", ordered: "ordered: from right to left", reversed: "reversed: from left to right" };
 
 /** Whether a script of the experiment teaches in this run, or would if it were let. */
@@ -24,8 +26,9 @@ class Teach {
   constructor(root, page) {
     this._page = page;
     this._me = null; // {name, language} while somebody teaches here
+    this._waits = true; // whether the robot waits for this teacher
     this._coming = null; // the name that was asked for, until the server says that it is there
-    this._tools = { sound: kept.get("sound", "on") === "on", auto: false, microphone: false };
+    this._tools = { sound: kept.get("sound", "on") === "on", microphone: false };
     this._sound = new Sound();
     this._sound.on = this._tools.sound;
     this._microphone = new Microphone((frame) => page.sendSound(frame), (share) => this._lesson.loud(share));
@@ -33,11 +36,11 @@ class Teach {
     this._lesson = new Lesson({
       note: (note) => this._note(note),
       judge: (value) => this._judge(value),
-      wait: () => this._do({ do: "wait", on: !page.state.you?.waits }),
+      wait: () => this._flipWait(),
       silent: () => this._do({ do: "silent", on: !page.state.you?.paused }),
       script: (on) => this._do({ do: "control", script: on }),
       sound: () => this._flipSound(),
-      auto: () => this._flipAuto(),
+      auto: () => this._do({ do: "auto", on: !page.state.you?.auto }),
       microphone: () => this._flipMicrophone(),
       language: () => this._editLanguage(),
       leave: () => this._leave(),
@@ -46,7 +49,7 @@ class Teach {
     this._build(root);
     page.teachByItself = () => this._byItself();
     for (const part of ["hello", "you", "control", "alive", "mode", "finished"]) page.on(part, () => this._soon());
-    page.on("connection", (connection) => connection === "lost" && this._lost());
+    page.on("connection", (connection) => connection === "lost" && this._return());
     document.addEventListener("keydown", (event) => this._key(event));
     const tick = (now_ms) => {
       if (this._teaches()) this._lesson.tick(now_ms);
@@ -104,9 +107,10 @@ class Teach {
     say(this._why, whyNot ?? "");
     show(this._why, whyNot !== null);
     show(this._back, mode === "past" && state.connection === "open" && this._hello?.live);
-    show(this._form, whyNot === null && !there);
+    const left = mode === "live" && !there && this._left.childElementCount > 0;
+    show(this._left, left);
+    show(this._form, whyNot === null && !there && !left);
     show(this._lesson.root, whyNot === null && there);
-    show(this._left, mode === "live" && !there && this._left.childElementCount > 0);
     if (whyNot !== null || !this._hello) return;
     const operates = Boolean(this._hello.rights?.operate);
     show(this._takesRow, operates && scripted(state) && state.control?.script !== false);
@@ -123,6 +127,7 @@ class Teach {
     const { state } = this._page;
     const hello = this._hello;
     const still = state.you?.name ? ` You still teach as ${state.you.name}: the robot may wait for you.` : "";
+    if (this._returning && !state.you?.name) return "The connection was lost. Your lesson goes on when it is back.";
     if (state.mode === "past") return `You look at a past run. Only a robot that runs now can be taught.${still}`;
     if (!hello) return state.connection === "lost" ? "There is no connection to the console." : "No robot runs yet.";
     if (!hello.live) return "No robot runs now. Past runs can be looked at below.";
@@ -150,7 +155,6 @@ class Teach {
   /** Ask the server to be let in. Returns whether it went well. */
   async _ask(name, language, takes) {
     say(this._failed, "");
-    this._tools.auto = false;
     this._coming = name;
     this._come.disabled = true;
     const said = await this._page.send({ do: "join", name, language });
@@ -161,7 +165,7 @@ class Teach {
       return false;
     }
     // At first the robot waits: nobody plays and judges quickly on the first day.
-    await this._page.send({ do: "wait", on: true });
+    await this._page.send({ do: "wait", on: this._waits });
     if (takes) await this._do({ do: "control", script: false });
     return true;
   }
@@ -170,10 +174,7 @@ class Teach {
   async _byItself() {
     if (this._whyNot() !== null) return false;
     const there = Boolean(this._page.state.you?.name) || (await this._ask("script-2", drawn(this._hello.commands.length), false));
-    if (!there || !(await this._do({ do: "auto", on: true }))) return false;
-    this._tools.auto = true;
-    this._show();
-    return true;
+    return there && this._do({ do: "auto", on: true });
   }
 
   _arrived(you) {
@@ -190,28 +191,33 @@ class Teach {
 
   _gone(you) {
     this._microphoneOff();
-    if (this._returning || this._coming) return; // the connection was lost, not the will: see `_lost`
+    if (this._returning || this._coming) return; // the connection was lost, not the will: see `_return`
     this._me = null;
-    this._showSummary(you?.summary);
+    this._showSummary(you?.summary, you?.trouble);
     queueMicrotask(() => this._left.focus({ preventScroll: true }));
   }
 
-  /** The server ends the lesson of a browser that is gone; when it is back the lesson goes on, with the same name. */
-  _lost() {
+  /** The connection is lost. When it is back within a minute the lesson goes on, under the same name. */
+  async _return() {
     const me = this._me;
     if (!me || this._returning) return;
     this._returning = true;
-    const end = this._page.on("hello", (hello) => {
-      if (this._page.state.connection !== "open" || !hello?.live) return;
-      queueMicrotask(() => end());
-      this._returning = false;
-      if (this._me === me) this._ask(me.name, this._page.state.you?.language ?? me.language, false);
-    });
+    const until_ms = performance.now() + RETURN_MS;
+    while (this._me === me && performance.now() < until_ms) {
+      await new Promise((resume) => setTimeout(resume, AGAIN_MS));
+      const { connection, you } = this._page.state;
+      if (connection !== "open" || !this._hello?.live) continue;
+      if (you?.name || (await this._ask(me.name, me.language, false))) break;
+    }
+    this._returning = false;
+    say(this._failed, "");
+    this._show();
   }
 
-  _showSummary(summary) {
+  _showSummary(summary, trouble) {
     const { state } = this._page;
-    const parts = [el("h3", {}, "You have left. Now watch: it goes on alone.")];
+    const parts = [el("h3", {}, trouble ? "Your lesson is over." : "You have left. Now watch: it goes on alone.")];
+    if (trouble) parts.push(el("p", {}, trouble));
     if (summary && summary.commands > 0) {
       const line = (name, words) => [el("dt", {}, name), el("dd", {}, words)];
       const percent = (share) => (share === null || share === undefined ? "–" : `${Math.round(100 * share)} %`);
@@ -290,10 +296,9 @@ class Teach {
     this._show();
   }
 
-  async _flipAuto() {
-    const on = !this._tools.auto;
-    if (await this._do({ do: "auto", on })) this._tools.auto = on;
-    this._show();
+  _flipWait() {
+    this._waits = !this._page.state.you?.waits;
+    this._do({ do: "wait", on: this._waits });
   }
 
   async _flipMicrophone() {

@@ -17,10 +17,10 @@ const SWITCHES = [
 ];
 /** The sixteen sonars go around the robot, from the left side over the front and the right side to the back. */
 const SONARS = [
-  { words: "Left sonars blind", places: [0, 1, 2] },
-  { words: "Front sonars blind", places: [3, 4] },
-  { words: "Right sonars blind", places: [5, 6, 7] },
-  { words: "Back sonars blind", places: [8, 9, 10, 11, 12, 13, 14, 15] },
+  { words: "Left", places: [0, 1, 2] },
+  { words: "Front", places: [3, 4] },
+  { words: "Right", places: [5, 6, 7] },
+  { words: "Back", places: [8, 9, 10, 11, 12, 13, 14, 15] },
 ];
 const KNOWN = new Set([...SWITCHES.map((each) => each.name), "blind", "object_x_m", "object_y_m"]);
 
@@ -80,12 +80,13 @@ class Try {
       el("div", { class: "pace" }, el("label", { for: "pace" }, "Pace"), this._pace, this._paceWords),
       this._phase);
     this._switches = el("div", { class: "buttons", role: "group", "aria-label": "Changes of the body" });
+    this._blind = el("div", { class: "buttons", role: "group", "aria-labelledby": "blind-title" });
     this._others = el("div", { class: "others" });
-    this._reset = button("As it was", () => this._asItWas(), { id: "reset-body" });
+    this._reset = button("Body as it was", () => this._asItWas(), { id: "reset-body" });
     this._body = el("div", { class: "try-part" },
       el("h3", {}, "Change its body"),
       el("p", { class: "plain" }, "The brain is not told. See its errors rise in the curves, and fall again while it learns."),
-      this._switches, this._others, el("div", { class: "buttons" }, this._reset));
+      this._switches, this._blind, this._others, el("div", { class: "buttons" }, this._reset));
     this._mover = new Mover(this._page, (settings) => this._change(settings));
     this._parts = el("div", { class: "try-parts" }, time, this._body, this._mover.root);
     root.append(el("h2", {}, "Try"), this._why, this._said, this._parts);
@@ -125,7 +126,7 @@ class Try {
     const least = secondsAt(place, base_s);
     const seconds = least === 0 ? "as fast as it can" : `${Number(least.toPrecision(2))} s an action`;
     const words = hello?.experiment?.pace === "lockstep" ? "in lockstep it has no pace"
-      : base_s > 0 ? `${TIMES[place]} times, ${seconds}` : seconds;
+      : base_s > 0 ? `${TIMES[place] === 1 ? "as usual" : `${TIMES[place]} times`}, ${seconds}` : seconds;
     say(this._paceWords, words);
     this._pace.setAttribute("aria-valuetext", words);
   }
@@ -151,11 +152,11 @@ class Try {
     const made = SWITCHES.filter((each) => can.has(each.name)).map((each) =>
       toggle(each.words, () => this._change({ [each.name]: this._is(each.name, each.on) ? each.off : each.on }),
         { "data-change": each.name }));
-    if (can.has("blind")) {
-      made.push(...SONARS.map((each) => toggle(each.words, () => this._change({ blind: this._blinded(each.places) }),
-        { "data-change": "blind", "data-places": each.places.join(",") })));
-    }
     this._switches.replaceChildren(...made);
+    show(this._blind, can.has("blind"));
+    this._blind.replaceChildren(el("span", { id: "blind-title", class: "plain" }, "Blind sonars:"),
+      ...SONARS.map((each) => toggle(each.words, () => this._change({ blind: this._blinded(each.places) }),
+        { "data-change": "blind", "data-places": each.places.join(",") })));
     this._others.replaceChildren(...[...can].filter((name) => !KNOWN.has(name)).map((name) => this._other(name)));
     show(this._body, can.size > 0);
     this._showChanged();
@@ -208,7 +209,7 @@ class Try {
   }
 
   _showChanged() {
-    for (const made of this._switches.children) {
+    for (const made of this._body.querySelectorAll("[data-change]")) {
       const { change, places } = made.dataset;
       const known = SWITCHES.find((each) => each.name === change);
       press(made, known ? this._is(change, known.on)
