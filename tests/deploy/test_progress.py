@@ -56,3 +56,25 @@ def test_obedience_is_not_told_where_nobody_knows_it() -> None:
     content = dict(experiment.content)
     del content["teacher"]
     assert "obedience -" in told(Experiment(content, "test"), [90.0] * 10).splitlines()[-1]
+
+
+def test_obedience_is_told_of_the_phase_that_goes_on_and_of_its_own_teacher() -> None:
+    experiment = Experiment.read(experiment_path("paper"), ["experiment.iterations=20"])
+    out = io.StringIO()
+    at = {"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0, "object_x_m": 0.0, "object_y_m": 1.0}
+    schedule = experiment.schedule()
+    second = schedule.phases[2]
+    assert second.language is not None
+    note = second.language.note(6)  # left 90
+    with Progress(Console(file=out, width=200), experiment) as progress:
+        progress.control(messages.Control(iteration=0, ended=[3, 4]))
+        for i in range(10):
+            reached = at | {"heading_rad": math.radians(90.0)}
+            progress.scene(messages.Scene(
+                iteration=i + 1, episode=0, successes=0, event="none", action={}, before=at, reached=reached, now=at
+            ))  # fmt: skip
+            progress.report(messages.IterationReport(
+                iteration=i, mode="taught", action={}, note=note, prequential={}, versions={}, explored=False,
+                predicted=None, feedback=None, event="none", teacher=second.teacher if i != 7 else "bob",
+            ))  # fmt: skip
+    assert "obedience 100%" in out.getvalue().splitlines()[-1]

@@ -7,11 +7,14 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from mdb_deploy.experiments import experiment_path
+from mdb_deploy.running.progress import Progress
 from mdb_deploy.running.watch import Watch
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import ZenohBus
@@ -204,6 +207,31 @@ def test_of_a_run_whose_router_is_gone_is_said_how_to_go_on(tmp_path: Path) -> N
         assert f"mdb up --resume {tmp_path} --connect" in watch.lost()
     finally:
         watch.close()
+
+
+def test_a_run_that_is_paused_or_waits_for_a_teacher_has_not_stalled(tmp_path: Path) -> None:
+    router = Router(ROUTER_CONFIG, "tcp/127.0.0.1:0")
+    experiment = Experiment.read(experiment_path("paper"))
+    progress, watch = Progress(Console(file=StringIO()), experiment), Watch(experiment, tmp_path, None)
+    try:
+        watch.join(router.endpoint())
+        with ZenohBus("pioneer", router.endpoint()) as bus:
+            control, notes = bus.publisher(keys.CONTROL), bus.publisher(keys.COMMAND, teacher="ann")
+            assert not watch.show(progress)
+            control.put(messages.Control(iteration=0, paused=True))
+            until(lambda: watch.show(progress))
+            assert watch.show(progress), "as long as it is paused"
+            control.put(messages.Control(iteration=0))
+            until(lambda: not watch.show(progress))
+            notes.put(messages.Command(teacher="ann", iteration=0, note=None, later=True))
+            until(lambda: watch.show(progress))
+            assert not watch.show(progress), "she says it once a second"
+            control.put(messages.Control(iteration=0, action_s=60.0))
+            until(lambda: watch.show(progress))
+            assert watch.show(progress), "an action takes long"
+    finally:
+        watch.close()
+        router.close()
 
 
 def test_connect_says_when_no_router_answers(tmp_path: Path) -> None:

@@ -12,7 +12,18 @@ from mdb_protocol import keys
 from mdb_protocol.errors import MdbError
 from mdb_protocol.keys import Key
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_protocol.messages import NOTHING, CurrentModel, IterationReport, Message, Pair, Phase, Scene, Timing
+from mdb_protocol.messages import (
+    NOTHING,
+    Control,
+    CurrentModel,
+    IterationReport,
+    Lesson,
+    Message,
+    Pair,
+    Phase,
+    Scene,
+    Timing,
+)
 from mdb_services.experiment.reading import read_file
 from mdb_services.mechanism.networks.network import Network
 from mdb_services.recorder import EmptyLogError, Recorder
@@ -194,6 +205,40 @@ def test_phases_come_with_their_ends_teachers_and_languages(record: RunRecord) -
     assert [s.language.notes if s.language else None for s in record.spans] == [
         ONE.notes, None, TWO.notes, None,
     ]  # fmt: skip
+
+
+def test_phases_that_were_ended_early_are_where_they_were(tmp_path: Path) -> None:
+    log = Log(tmp_path / "run")
+    first, then = Phase(iteration=0, name="first teacher", teacher="one"), Phase(iteration=41, name="alone")
+    log.put(keys.CONTROL, Control(iteration=3, paused=True))
+    for i in range(60):
+        if i == 40:
+            log.put(keys.CONTROL, Control(iteration=i, ended=[i]))
+        if i in (0, 41):
+            log.put(keys.PHASE, first if i == 0 else then)
+        log.put(keys.ITERATION, report(i))
+    found = log.close()
+    assert [(s.start, s.stop, s.name, s.teacher) for s in found.spans] == [
+        (0, 41, "first teacher", "one"), (41, 141, "alone", None), (141, 241, "second teacher", "two"),
+        (241, 400, "alone again", None),
+    ]  # fmt: skip
+    assert [s.language.notes if s.language else None for s in found.spans] == [ONE.notes, None, TWO.notes, None]
+    assert [control.ended for control in found.controls] == [[], [40]]
+
+
+def test_a_phase_in_which_the_teacher_was_silenced_for_a_while_keeps_its_language(tmp_path: Path) -> None:
+    log = Log(tmp_path / "run")
+    for i, teacher in ((0, "one"), (20, None), (50, "one")):
+        log.put(keys.PHASE, Phase(iteration=i, name="first teacher", teacher=teacher))
+    lesson = Lesson(teacher="anna", iteration=20, commands=["go"], notes=[0])
+    log.put(keys.LESSON, lesson, teacher="anna")
+    for i in range(60):
+        log.put(keys.ITERATION, report(i))
+    found = log.close()
+    assert [(s.start, s.stop, s.teacher, s.language.notes if s.language else None) for s in found.spans[:3]] == [
+        (0, 20, "one", ONE.notes), (20, 50, None, None), (50, 100, "one", ONE.notes),
+    ]  # fmt: skip
+    assert found.lessons == (lesson,)
 
 
 def test_obedience_is_the_share_of_commands_obeyed_in_the_last_part_of_a_phase(record: RunRecord) -> None:

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainin
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from mdb_protocol.messages import CurrentModel, IterationReport, Phase, Scene
+from mdb_protocol.messages import Control, CurrentModel, IterationReport, Phase, Scene
 from mdb_protocol.words import shown
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.teaching.policy import obeyed
@@ -29,7 +29,8 @@ class Progress:
 
     def __init__(self, console: Console, experiment: Experiment) -> None:
         self._console, self._iterations = console, experiment.brain.experiment.iterations
-        self._schedule = experiment.schedule() if experiment.teacher is not None else None
+        self._planned = self._schedule = experiment.schedule() if experiment.teacher is not None else None
+        self._paused = False
         self._scenes: dict[int, Scene] = {}
         self._obeyed: deque[bool] = deque(maxlen=RECENT)
         self._errors: dict[str, float] = {}
@@ -68,6 +69,12 @@ class Progress:
         """A phase has begun."""
         self._phase = shown(phase.name, MOST_NAME)
 
+    def control(self, control: Control) -> None:
+        """An operator has said how the run is to go on."""
+        self._paused = control.paused
+        if self._planned is not None:
+            self._schedule = self._planned.with_ended(control.ended)
+
     def model(self, model: CurrentModel) -> None:
         """A model has learnt."""
         self._errors[model.model] = model.error
@@ -97,8 +104,10 @@ class Progress:
         scene = self._scenes.get(report.iteration + 1)
         if scene is None or self._schedule is None or report.note is None:
             return None
-        language = self._schedule.at(report.iteration).language
-        return None if language is None else obeyed(self._schedule.policy, language, report.note, scene)
+        phase = self._schedule.at(report.iteration)
+        if phase.language is None or report.teacher not in (None, phase.teacher):
+            return None
+        return obeyed(self._schedule.policy, phase.language, report.note, scene)
 
     def _words(self) -> str:
         phase = f"{self._phase}: " if self._phase else ""
@@ -115,10 +124,11 @@ class Progress:
     def _render(self) -> Group:
         if not self._done:
             return Group(Text(f"starting: {', '.join(self._ready) or '...'}"))
+        paused = "   paused by an operator" if self._paused else ""
         memory = "  ".join(f"{name} {error:.3f}" for name, error in sorted(self._errors.items()))
         return Group(
             self._bar,
-            Text.assemble(("phase      ", "bold"), f"{self._phase or '-'}   acting on: {self._mode}"),
+            Text.assemble(("phase      ", "bold"), f"{self._phase or '-'}   acting on: {self._mode}{paused}"),
             Text.assemble(
                 ("successes  ", "bold"), f"{self._successes}   obedience (last {RECENT}): {self._obedience()}"
             ),

@@ -20,6 +20,7 @@ from mdb_protocol import keys
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, TakenError, UnheardError
 from mdb_protocol.holding import GONE_S, hold
+from mdb_protocol.messages import Control
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.brain import MEMORY_FILE
 from mdb_services.shell.service import Meter, announce
@@ -57,7 +58,10 @@ class Watch:
         self._endpoint, self._where = run / ENDPOINT_FILE, ""
         self._bus: ZenohBus | None = None
         self._meter: Meter | None = None
-        self._iteration = 0
+        self._iteration, self._moved_s = 0, time.monotonic()
+        """The newest one, and when it came."""
+        self._control = Control(iteration=0)
+        """What an operator said last."""
         self._awaited = await_robot and not (run / MEMORY_FILE).exists()
         """Whether a robot is awaited that has not acted: one of an earlier run has another count."""
         self._elsewhere = self._mixed = False
@@ -134,6 +138,8 @@ class Watch:
         self._phases = bus.subscriber(keys.PHASE)
         self._models = bus.subscriber(keys.CURRENT_MODEL)
         self._finished = bus.subscriber(keys.FINISHED)
+        self._controls = bus.subscriber(keys.CONTROL)
+        self._asking = bus.subscriber(keys.COMMAND), bus.subscriber(keys.FEEDBACK)
 
     def _serve(self) -> None:
         """Answer who asks how we are."""
@@ -148,9 +154,16 @@ class Watch:
             self._meter.tick()
 
     def show(self, progress: Progress) -> bool:
-        """Hand what has come to the display; return whether an iteration was among it."""
+        """Hand what has come to the display; return whether the run goes on as it should.
+
+        An iteration was among it, the run is paused, a teacher asks to be waited for, or an operator wants actions to
+        take longer than it is since the last one.
+        """
         moved = False
         self._serve()
+        while (control := self._controls.take()) is not None:
+            self._control = control
+            progress.control(control)
         while (phase := self._phases.take()) is not None:
             progress.phase(phase)
         while (model := self._models.take()) is not None:
@@ -159,9 +172,15 @@ class Watch:
             progress.scene(scene)
         while (report := self._reports.take()) is not None:
             progress.report(report)
-            self._iteration = report.iteration
+            self._iteration, self._moved_s = report.iteration, time.monotonic()
             moved = True
-        return moved
+        return self._is_slow() or moved
+
+    def _is_slow(self) -> bool:
+        """Whether somebody wants that nothing moves now."""
+        asks = [message.later for inbox in self._asking for message in inbox.some()]
+        slow_s = 0.0 if self._control.action_s is None else self._control.action_s
+        return self._control.paused or any(asks) or time.monotonic() - self._moved_s < slow_s
 
     def lost(self) -> str:
         """Return what there is to say of a run in which nothing moves any more."""

@@ -21,7 +21,7 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from mdb_protocol.errors import DamageError
-from mdb_protocol.messages import CurrentModel, IterationReport, Lesson, Message, Pair, Phase, Scene, Timing
+from mdb_protocol.messages import Control, CurrentModel, IterationReport, Lesson, Message, Pair, Phase, Scene, Timing
 from mdb_services.acting.models import prequential
 from mdb_services.experiment.brain import EXPERIMENT_FILE, BrainConfig
 from mdb_services.mechanism.actions.foresight import Known
@@ -106,6 +106,10 @@ class RunRecord:
     reports: dict[int, IterationReport]
     """What the optimizer said of each iteration, with feedback that came late."""
     timings: dict[int, Timing]
+    lessons: tuple[Lesson, ...] = ()
+    """What teachers who are none of the experiment's own said of themselves, in the order in which it came."""
+    controls: tuple[Control, ...] = ()
+    """What operators said, in that order."""
 
     @property
     def iterations(self) -> int:
@@ -177,6 +181,7 @@ class _Found:
     scenes: dict[int, Scene] = field(default_factory=dict)
     phases: dict[int, Phase] = field(default_factory=dict)
     lessons: list[Lesson] = field(default_factory=list)
+    controls: list[Control] = field(default_factory=list)
     timings: dict[int, Timing] = field(default_factory=dict)
     models: dict[tuple[str, int], CurrentModel] = field(default_factory=dict)
     judged: dict[int, Pair] = field(default_factory=dict)
@@ -199,6 +204,8 @@ class _Found:
                 self.phases.setdefault(message.iteration, message)
             case Lesson():
                 self.lessons.append(message)
+            case Control():
+                self.controls.append(message)
             case Timing():
                 self.timings.setdefault(message.iteration, message)
             case CurrentModel() if self._is_one(message):
@@ -275,6 +282,8 @@ def record_of(run: Path, experiment: Experiment, log: Iterable[Recorded]) -> Run
         scenes=found.scenes,
         reports=reports,
         timings=found.timings,
+        lessons=tuple(found.lessons),
+        controls=tuple(found.controls),
     )
 
 
@@ -321,17 +330,24 @@ def _successes(found: _Found, events: frozenset[str], n: int) -> Ints:
 
 
 def _spans(experiment: Experiment, found: _Found, n: int, *, heard: bool) -> tuple[Span, ...]:
-    """Return the phases: those that were announced, and of the experiment's schedule those still to come."""
-    planned: dict[int, Span] = {}
-    if experiment.teacher is not None:
-        phases = experiment.schedule().phases
-        planned = {p.start: Span(p.name, p.start, p.start, p.teacher, p.language) for p in phases}
+    """Return the phases: those that were announced, and of the experiment's schedule those still to come.
+
+    What an operator has ended early is in both.
+    """
+    schedule = experiment.schedule() if experiment.teacher is not None else None
+    if schedule is not None and found.controls:
+        schedule = schedule.with_ended(found.controls[-1].ended)
     end = max(n, experiment.brain.experiment.iterations)
-    starts = {i: span for i, span in planned.items() if i > max(found.phases, default=-1)}
+    begun = max(found.phases, default=-1)
+    starts = {
+        p.start: Span(p.name, p.start, p.start, p.teacher, p.language)
+        for p in (schedule.phases if schedule is not None else ())
+        if p.start > begun
+    }
     for i, phase in found.phases.items():
-        plan = planned.get(i)
-        language = plan.language if plan is not None and plan.teacher == phase.teacher else None
-        starts[i] = Span(phase.name, i, i, phase.teacher, language)
+        plan = schedule.at(i) if schedule is not None else None
+        own = plan is not None and (plan.name, plan.teacher) == (phase.name, phase.teacher)
+        starts[i] = Span(phase.name, i, i, phase.teacher, plan.language if plan is not None and own else None)
     if not starts:
         starts = _lessons(found.lessons) or {0: Span("whole run", 0, 0, "somebody" if heard else None)}
     edges = [*sorted(i for i in starts if i < end), end]
