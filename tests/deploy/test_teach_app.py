@@ -23,8 +23,10 @@ from textual.pilot import Pilot
 from textual.strip import Strip
 from textual.widgets import Static
 
+from mdb_deploy.experiments import experiment_path
 from mdb_deploy.keys.credentials import KeyFolder
 from mdb_deploy.teach.keyboard import NOTE_KEYS, graded
+from mdb_deploy.teach.run import patience_of
 from mdb_deploy.teach.screen.app import ScenePicture, SessionThread, TeachApp
 from mdb_deploy.teach.screen.language import LanguageScreen
 from mdb_deploy.teach.screen.picture import HALF_BLOCK
@@ -35,6 +37,7 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.roles import Role
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_protocol.zenoh_sessions import Router
+from mdb_services.experiment.reading import read_file
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
 from mdb_sim.body import NOTHING, Actuator, Body, Numbers, Outcome, Reading, Resting, Sensor, Spec, Unrestorable
 from mdb_sim.robot.course import Rules
@@ -92,7 +95,7 @@ def brain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Brain]:
 
 
 def session_of(bus: ZenohBus, name: str, *, auto: bool = False) -> TeachingSession:
-    return TeachingSession(bus, name, REVERSED, auto=auto)
+    return TeachingSession(bus, name, REVERSED, auto=auto, patience_s=(60.0, 60.0))
 
 
 class Desk:
@@ -184,7 +187,7 @@ def test_notes_and_feedback_arrive_with_the_teachers_name(brain: Brain) -> None:
             assert (report.teacher, report.note, report.holder) == ("ann", NOTE_KEYS.index("c"), "ann")
             assert (report.feedback, report.judges) == (pytest.approx(graded(7)), ["ann"])
             await ann.until(lambda: re.search(rf" {iteration} c left 20 .*\+0\.56", ann.text("#panel")))
-            assert "word     you" in ann.text("#panel")
+            assert "teacher   you" in ann.text("#panel")
             await ann.until(lambda: is_dotted(ann.app))
             assert "connected" in ann.text("#top")
             await ann.pilot.press("z")
@@ -209,6 +212,29 @@ def test_without_feedback_the_next_note_is_obeyed_at_once(brain: Brain) -> None:
     asyncio.run(lesson())
 
 
+def test_whose_turn_it_is_is_said_with_the_time_that_is_left_and_w_makes_the_brain_wait(brain: Brain) -> None:
+    async def lesson() -> None:
+        async with desk(brain, "ann") as ann:
+            first = await ann.is_awaited()
+            await ann.until(lambda: re.search(r"your turn: play a note.* \d+ s left, w: wait", ann.text("#turn")))
+            waits = ann.witness.subscriber(keys.COMMAND, teacher="ann")
+            await ann.pilot.press("w")
+            await ann.until(lambda: "it waits for you" in ann.text("#turn"))
+            await ann.until(lambda: (said := waits.take()) is not None and said.later)
+            assert ann.newest() == first, "the robot did nothing meanwhile"
+            await ann.pilot.press("w")
+            await ann.until(lambda: "s left" in ann.text("#turn"))
+            await ann.pilot.press("h")
+            await ann.until(lambda: "hint:" not in ann.text("#says"))
+            await ann.pilot.press("v")
+            await ann.shows_scene_after(first)
+            await ann.until(lambda: "your turn: judge what it did, then play" in ann.text("#turn"))
+            await ann.pilot.press("9")
+            await ann.until(lambda: re.search(r"your turn: play a note · \d+ s left", ann.text("#turn")))
+
+    asyncio.run(lesson())
+
+
 def test_in_a_pause_the_brain_goes_on_alone_and_the_teacher_stays(brain: Brain) -> None:
     async def lesson() -> None:
         async with desk(brain, "ann") as ann:
@@ -218,6 +244,7 @@ def test_in_a_pause_the_brain_goes_on_alone_and_the_teacher_stays(brain: Brain) 
             assert (report.note, report.teacher) == (None, None)
             assert "teacher/ann" in ann.witness.alive()
             await ann.until(lambda: "pause" in ann.text("#top"))
+            await ann.until(lambda: "pause: you are silent" in ann.text("#turn"))
             await ann.pilot.press("p")
             await ann.until(lambda: not ann.app.session.view.paused)
             iteration = await ann.is_awaited()
@@ -274,7 +301,7 @@ def test_who_leaves_is_gone_and_the_brain_goes_on(brain: Brain) -> None:
         until(moved)
 
 
-def test_who_is_not_heard_reads_who_holds_the_word(brain: Brain) -> None:
+def test_who_is_not_heard_reads_who_is_being_obeyed(brain: Brain) -> None:
     async def lesson() -> None:
         with brain.bus() as first_bus:
             bob = SessionThread(session_of(first_bus, "bob", auto=True))
@@ -288,6 +315,7 @@ def test_who_is_not_heard_reads_who_holds_the_word(brain: Brain) -> None:
                         await ann.pilot.press("x")
                         await ann.shows_scene_after(ann.newest())
                     await ann.until(lambda: "bob (also here: bob)" in ann.text("#panel"))
+                    await ann.until(lambda: "watch: bob is being obeyed" in ann.text("#turn"))
             finally:
                 bob.stop()
 
@@ -601,7 +629,8 @@ def test_without_a_terminal_it_says_so_and_ends() -> None:
 
 def test_help_says_keys_and_feedback() -> None:
     text = mdb("teach", "--help").stdout
-    for said in ("z x c v b n m", "0 (punishment, -1) to 9 (reward, +1)", "--language", "p pause", "--no-teacher"):
+    keys_said = ("z x c v b n m", "0 (punishment, -1) to 9 (reward, +1)", "p pause", "w wait")
+    for said in (*keys_said, "--language", "--no-suggest", "--no-teacher"):
         assert said in text
 
 
@@ -657,6 +686,13 @@ def test_the_terminal_is_given_back(number: signal.Signals | None, status: int) 
             assert process.wait(BOUND_S) == status
             assert b"\x1b[?1049l" in last, "the screen as it was before"
             assert b"\x1b[?25h" in last, "the cursor"
+            assert b"ann has left pioneer. No note was played." in last
             until(lambda: "teacher/ann" not in witness.alive())
     finally:
         router.close()
+
+
+def test_the_patience_of_the_brain_is_read_from_its_file() -> None:
+    path = experiment_path("paper")
+    assert patience_of(read_file(path, ["optimizer.feedback_patience_s=5"]), path) == (2.0, 5.0)
+    assert patience_of({}, None) is None, "without the file it is not known"

@@ -1,4 +1,4 @@
-"""A scene on the terminal: where each shape of a drawing lands and what of it is seen, an image, numbers."""
+"""What a teacher sees on the terminal: where each shape of a drawing lands, an image, numbers; whose turn it is."""
 
 import math
 from itertools import pairwise
@@ -11,6 +11,8 @@ from rich.text import Text
 
 from mdb_deploy.teach.screen.canvas import Window
 from mdb_deploy.teach.screen.picture import HALF_BLOCK, STEP, STYLES, draw, follow, show_image, show_numbers
+from mdb_deploy.teach.screen.turn import HURRY, HURRY_S, closing, turn
+from mdb_deploy.teach.view import Exchange, Summary, Turn, View
 from mdb_protocol.messages import Drawing, Shape
 from mdb_sim.bodies.pioneer.arena import BODY_RADIUS_M, body_centre_m
 from mdb_sim.bodies.pioneer.drawing import draw as draw_pioneer
@@ -18,6 +20,7 @@ from mdb_sim.bodies.pioneer.drawing import echo
 from mdb_sim.bodies.pioneer.perceive import fold
 from mdb_sim.bodies.pioneer.twin import KinematicRobot
 from mdb_sim.bodies.pioneer.world import PioneerConfig, Placement, Pose
+from mdb_sim.teaching.languages import Language
 
 COLUMNS, ROWS = 40, 20
 WHOLE = Window(0.0, 0.0, 4.0)
@@ -397,3 +400,60 @@ def test_a_shape_far_larger_than_its_window_costs_no_more_than_the_window(kind: 
         assert {abs(y) < 2 / DOTS for _, y in found} == {True}
     else:
         assert all(x >= -2 / DOTS for x, _ in found)
+
+
+# ---- whose turn it is, and what is told at the end ----
+
+LANGUAGE = Language("ordered", (0, 1, 2))
+PLAYED = (Exchange(6, spoke=True, note=1),)
+
+
+BOTH, PLAY = "your turn: judge what it did, then play a note", "your turn: play a note"
+
+
+def seen(kind: Any, until_s: float | None = None, **more: Any) -> View:
+    """A view of the next action's scene, 7."""
+    return View(LANGUAGE, turn=Turn(kind, 7, until_s), **more)
+
+
+@pytest.mark.parametrize(
+    ("view", "said"),
+    [
+        (seen("play"), f"{PLAY}, see what it does, then judge"),
+        (seen("play", exchanges=PLAYED), PLAY),
+        (seen("both", 104.2), f"{BOTH} · 5 s left, w: wait"),
+        (seen("play", 99.0, exchanges=PLAYED), f"{PLAY} · it goes on without you"),
+        (seen("both", waits=True), f"{BOTH} · it waits for you"),
+        (seen("judge", 104.2), "watch, then judge what it does"),
+        (seen("watch"), "watch what it does"),
+        (seen("watch", paused=True), "pause: you are silent, and the robot goes on; p ends the pause"),
+        (seen("play", auto=True), "watch: your notes are played by themselves"),
+        (seen("over", finished=True), "the experiment is over; q leaves"),
+    ],
+)
+def test_whose_turn_it_is_is_said_in_a_line(view: View, said: str) -> None:
+    assert turn(view, "ann", 100.0).plain == said
+
+
+def test_the_countdown_changes_its_colour_near_its_end() -> None:
+    for left_s, hurried in ((HURRY_S + 1.0, False), (HURRY_S - 1.0, True)):
+        text = turn(View(LANGUAGE, turn=Turn("play", 7, 100.0 + left_s)), "ann", 100.0)
+        assert (text.spans[-1].style == HURRY) is hurried
+
+
+def test_who_leaves_is_told_what_was_reached() -> None:
+    summary = Summary(
+        commands=46, judged=44, obeyed=40, rewards=30, punishments=1, successes=11, first=0.35, last=0.95
+    )
+    assert closing(summary, "ann", "pioneer").splitlines() == [
+        "ann has left pioneer.",
+        "  notes      46; 40 of 44 were obeyed",
+        "  obedience  35% of the first 20 notes, 95% of the last 20",
+        "  feedback   30 rewards, 1 punishment",
+        "  successes  11 while you were there",
+        "The robot goes on with what it has learnt.",
+    ]
+    few = Summary(commands=3, judged=2, obeyed=1, first=0.5, last=0.5)
+    assert "  obedience  50% of 2 notes\n" in closing(few, "ann", "pioneer")
+    assert "notes      3; none could be followed" in closing(Summary(commands=3), "ann", "pioneer")
+    assert closing(Summary(), "ann", "pioneer") == "ann has left pioneer. No note was played.\n"

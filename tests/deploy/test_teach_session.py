@@ -280,7 +280,7 @@ def test_commands_are_told_by_side_and_angle() -> None:
     assert Rig().session.policy.commands == REACH.commands, "what can be wanted when nothing is said of it"
 
 
-def test_commands_without_effect_are_told_with_the_one_who_holds_the_word() -> None:
+def test_commands_without_effect_are_told_with_the_one_who_is_being_obeyed() -> None:
     rig = Rig()
     for i in range(WITHOUT_EFFECT):
         assert rig.session.view.trouble is None
@@ -290,7 +290,7 @@ def test_commands_without_effect_are_told_with_the_one_who_holds_the_word() -> N
     assert rig.session.view.exchanges[0].heard is False
     words = panel.panel(rig.session.view, ANN, REACH.commands).plain
     assert f"{WITHOUT_EFFECT - 1} v ahead    ahead    not heard" in words
-    assert "word     bob" in words
+    assert "teacher   bob" in words
     rig.lesson(3, NONE, WITHOUT_EFFECT)
     rig.report(WITHOUT_EFFECT)
     assert rig.session.view.trouble is None
@@ -355,7 +355,7 @@ def test_successes_are_counted_and_their_rate_is_of_the_last_hundred_iterations(
     assert rig.session.view.successes_per_100 == 0.0
     rig.show(scene(400, successes=60))
     assert rig.session.view.successes_per_100 == pytest.approx(SUCCESSES_IN * 10 / 100)
-    assert "success  60, 10.0 in 100" in panel.panel(rig.session.view, ANN, REACH.commands).plain
+    assert "successes 60, 10.0 in 100" in panel.panel(rig.session.view, ANN, REACH.commands).plain
 
 
 def test_errors_are_the_mean_of_the_last_reports() -> None:

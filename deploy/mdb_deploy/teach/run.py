@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import signal
 import sys
 from collections import deque
@@ -17,12 +18,13 @@ from mdb_deploy.shipped import shipped
 from mdb_deploy.teach.keyboard import NOTE_KEYS
 from mdb_deploy.teach.microphone import Microphone
 from mdb_deploy.teach.screen.app import TeachApp
+from mdb_deploy.teach.screen.turn import closing
 from mdb_deploy.teach.session import TeachingSession
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import ConfigError, MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.experiment.reading import convert, read_file
-from mdb_services.experiment.sections import EarSection
+from mdb_services.experiment.sections import EarSection, OptimizerSection
 from mdb_sim.teaching.languages import Language, TeacherError, make_language
 from mdb_sim.teaching.policies.pioneer import Reach
 from mdb_sim.teaching.policies.plain import Named
@@ -48,7 +50,8 @@ class TeachOptions:
     language: str
     keys: Path | None = None
     experiment: Path | None = None
-    suggest: bool = False
+    suggest: bool = True
+    """Whether the hint is on at first."""
     auto: bool = False
     sound: str | None = None
     """An instrument that plays the notes."""
@@ -69,7 +72,14 @@ def teach(options: TeachOptions) -> int:
         if f"{ROLE}/{name}" in bus.alive():
             raise MdbError(f"somebody teaches {brain} as {name} already; choose another --name")
         session = TeachingSession(
-            bus, name, language, policy, auto=options.auto, player=player, listens=options.microphone
+            bus,
+            name,
+            language,
+            policy,
+            auto=options.auto,
+            player=player,
+            listens=options.microphone,
+            patience_s=patience_of(content, source),
         )
         if not (sys.stdin.isatty() and sys.stderr.isatty()):
             raise MdbError(
@@ -83,6 +93,9 @@ def teach(options: TeachOptions) -> int:
             status = asyncio.run(_until_left(app))
         finally:
             microphone.stop()
+    with contextlib.suppress(OSError):  # the terminal may be gone
+        sys.stdout.write(closing(session.view.summary, name, brain))
+        sys.stdout.flush()
     sys.stderr.writelines(f"{line}\n" for line in kept)
     if app.thread.failure is not None:
         raise MdbError(f"teaching ended: {app.thread.failure}") from app.thread.failure
@@ -126,6 +139,14 @@ def policy_of(content: Mapping[str, Any], source: Path | None) -> Policy:
     if len(policy.commands) > len(NOTE_KEYS):
         raise ConfigError(f"{source}: {len(policy.commands)} commands; there are keys for {len(NOTE_KEYS)}")
     return policy
+
+
+def patience_of(content: Mapping[str, Any], source: Path | None) -> tuple[float, float] | None:
+    """Return how long the brain waits for a note and for feedback, in seconds, by its file; None without a file."""
+    if source is None:
+        return None
+    section = convert(content.get("optimizer", {}), OptimizerSection, source)
+    return section.command_patience_s, section.feedback_patience_s
 
 
 def player_of(instrument: str, content: Mapping[str, Any], source: Path | None, notes: int) -> Player:

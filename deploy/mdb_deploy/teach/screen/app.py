@@ -19,7 +19,7 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from mdb_deploy.teach.keyboard import DIGITS, FULL, NOTE_KEYS, graded
-from mdb_deploy.teach.screen import panel, picture
+from mdb_deploy.teach.screen import panel, picture, turn
 from mdb_deploy.teach.screen.canvas import Window
 from mdb_deploy.teach.screen.language import LanguageScreen
 from mdb_deploy.teach.session import TeachingSession
@@ -78,8 +78,9 @@ class TeachApp(App[int]):
     VERTICAL_BREAKPOINTS = [(0, "-low"), (22, "-high")]  # noqa: RUF012
     CSS = """
     Screen { layout: vertical; }
-    #top, #says, #notes, #help { height: auto; width: 100%; }
-    #top, #notes, #help, #panel { text-wrap: nowrap; text-overflow: ellipsis; }
+    #top, #turn, #says, #notes, #help { height: auto; width: 100%; }
+    #top, #turn, #notes, #help, #panel { text-wrap: nowrap; text-overflow: ellipsis; }
+    #turn { height: 1; }
     #says { height: 2; }
     #middle { height: 1fr; layout: horizontal; }
     #scene { width: 1fr; height: 100%; border: round $secondary; }
@@ -97,13 +98,15 @@ class TeachApp(App[int]):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("q,ctrl+c,ctrl+q", "leave", priority=False),
         Binding("p", "pause"),
+        Binding("w", "wait"),
         Binding("l", "language"),
         Binding("h", "hint"),
         Binding("u", "turn_picture"),
         Binding("space", "silence"),
     ]
 
-    def __init__(self, session: TeachingSession, where: str, *, suggest: bool = False) -> None:
+    def __init__(self, session: TeachingSession, where: str, *, suggest: bool = True) -> None:
+        """`where`: the router's endpoint, to be shown; `suggest`: begin with the hint on."""
         super().__init__()
         self.session = session
         self.thread = SessionThread(session)
@@ -111,11 +114,12 @@ class TeachApp(App[int]):
         self._shown, self._shown_s = session.view, -STALE_S
 
     def compose(self) -> ComposeResult:
-        """From top to bottom: who and where, scene and figures, what goes wrong, notes, keys."""
+        """From top to bottom: who and where, scene and figures, whose turn it is, what goes wrong, notes, keys."""
         yield Static(id="top")
         with Vertical(id="middle"):
             yield ScenePicture(self.session)
             yield Static(id="panel")
+        yield Static(id="turn")
         yield Static(id="says")
         yield Static(id="notes")
         yield Static(panel.help_line(), id="help")
@@ -138,6 +142,7 @@ class TeachApp(App[int]):
         session, suggest, meant = self.session, self._suggest, self.session.policy.commands
         self._show("#top", panel.top(view, session.instance, session.bus.brain, self._where))
         self._show("#panel", panel.panel(view, session.instance, meant))
+        self._show("#turn", turn.turn(view, session.instance, self._shown_s))
         self._show("#says", panel.says(view, meant, self._shown_s, suggest=suggest))
         self._show("#notes", panel.note_keys(view, meant, self.size.width, suggest=suggest))
         self.screen_stack[0].query_one(ScenePicture).show(view)
@@ -167,6 +172,10 @@ class TeachApp(App[int]):
     def action_pause(self) -> None:
         """Stay, but silent; or go on."""
         self.session.pause()
+
+    def action_wait(self) -> None:
+        """Ask the brain to wait for what is said here, or no longer."""
+        self.session.wait_for_me(not self.session.view.waits)
 
     def action_hint(self) -> None:
         """Show which command would be right, or hide it."""

@@ -42,7 +42,7 @@ class LanguageScreen(ModalScreen[None]):
         self._draw()
 
     def _draw(self) -> None:
-        text = Text("What your notes mean (the brain never knows)\n\n", style=TITLE)
+        text = Text("What your notes mean (the brain is not told)\n\n", style=TITLE)
         for row, command in enumerate(self._order):
             note = self._language.note(command)
             line = f" {self._policy.commands[command]:<10} key {NOTE_KEYS[note]}   note {note:<2} \n"

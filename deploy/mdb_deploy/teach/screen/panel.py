@@ -19,7 +19,7 @@ CELL = 11
 NOTICE_S = 4.0
 """A notice is shown so long."""
 GOOD, BAD, WARN, FAINT, TITLE = "green", "red", "yellow", "grey50", "bold"
-BY = {"taught": "taught, by its teacher", "induced": "induced, by itself"}
+BY = {"taught": "as its teacher says", "induced": "alone, as it has learnt"}
 """The paper's two modes in words; another experiment's mode is shown by its name."""
 
 
@@ -38,7 +38,7 @@ def says(view: View, meant: Sequence[str], now_s: float, *, suggest: bool) -> Te
         return Text(shown(view.notice), WARN)
     if suggest and view.wanted is not None:
         key = NOTE_KEYS[view.language.note(view.wanted)]
-        return Text(f"right would be: {meant[view.wanted]}, your key {key}", GOOD)
+        return Text(f"hint: {meant[view.wanted]} would be right; your key is {key} (h: no hint)", GOOD)
     return Text()
 
 
@@ -70,15 +70,15 @@ def panel(view: View, name: str, meant: Sequence[str]) -> Text:
     rate = f", {view.successes_per_100:.1f} in {SUCCESSES_IN}" if view.successes_per_100 is not None else ""
     rows = [
         ("acts", _acting(view.report)),
-        ("word", _word(view, name)),
-        ("success", f"{view.successes}{rate}"),
-        ("obeys", judged),
+        ("teacher", _teacher(view, name)),
+        ("successes", f"{view.successes}{rate}"),
+        ("obedience", judged),
         *_errors(view.errors),
         *_latency(view.latency),
     ]
     text = Text()
     for title, said in rows:
-        text.append(f"{title:<9}", TITLE).append(f"{said}\n")
+        text.append(f"{title:<10}", TITLE).append(f"{said}\n")
     text.append(f"\n{'iter.':>6} {'meant':<9}{'did':<9}reward\n", FAINT)
     for exchange in view.exchanges:
         text.append_text(_exchange(exchange, meant))
@@ -88,10 +88,11 @@ def panel(view: View, name: str, meant: Sequence[str]) -> Text:
 def _acting(report: IterationReport | None) -> str:
     if report is None:
         return "-"
-    return f"{report.mode}, exploring" if report.explored else BY.get(report.mode, report.mode)
+    return "exploring" if report.explored else BY.get(report.mode, report.mode)
 
 
-def _word(view: View, name: str) -> str:
+def _teacher(view: View, name: str) -> str:
+    """Who is being obeyed, and who else is there."""
     holder = view.report.holder if view.report else None
     others = f" (also here: {', '.join(view.others)})" if view.others else ""
     return ("-" if holder is None else "you" if holder == name else holder) + others
@@ -105,7 +106,7 @@ def _errors(errors: dict[str, float]) -> list[tuple[str, str]]:
 def _latency(latency: Latency) -> list[tuple[str, str]]:
     """From a command to the sight of its action and to its report; the brain's part of it."""
     seen, back, own = map(_ms, (latency.to_action_s, latency.to_report_s, latency.perception_to_action_s))
-    return [("ms until", f"action {seen}, report {back}"), ("", f"brain's own {own}")]
+    return [("delay, ms", f"action {seen}, report {back}"), ("", f"the brain's {own}")]
 
 
 def _ms(seconds: float | None) -> str:
