@@ -104,9 +104,11 @@ function chart(id, title, { log = false, range = null } = {}) {
   let ends = [0, 1];
 
   const make = (curves) => {
+    const lines = { stroke: colour("line"), width: 1 };
+    const tens = log ? { filter: (u, splits) => splits.map(decade) } : {};
     const axis = {
       stroke: colour("muted"), font: `11px ${getComputedStyle(document.body).fontFamily}`,
-      grid: { stroke: colour("line"), width: 1 }, ticks: { stroke: colour("line"), width: 1, size: 4 },
+      grid: lines, ticks: { ...lines, size: 4 },
     };
     return new uPlot({
       width: Math.max(120, box.clientWidth), height: HEIGHT, padding: [8, 10, 0, 0],
@@ -118,7 +120,7 @@ function chart(id, title, { log = false, range = null } = {}) {
       },
       axes: [
         { ...axis, size: 26, gap: 3, space: 60 },
-        { ...axis, size: 46, gap: 4, space: 28, values: (u, values) => values.map((value) => tick(value, log)) },
+        { ...axis, ...tens, size: 52, gap: 4, space: 28, grid: { ...lines, ...tens }, ticks: { ...lines, size: 4, ...tens }, values: (u, values) => values.map((value) => tick(value, log)) },
       ],
       series: [{}, ...curves.map((one) => ({ stroke: colour(one.colour), width: 2, points: { show: false }, spanGaps: false }))],
       hooks: {
@@ -171,12 +173,16 @@ function errorRange(low, high) {
   return [10 ** Math.floor(Math.log10(from)), 10 ** Math.ceil(Math.log10(Math.max(high ?? 1, from * 10)))];
 }
 
+/** Lines of a logarithmic axis at powers of ten alone. */
+function decade(value) {
+  const power = Math.log10(value);
+  return Math.abs(power - Math.round(power)) < 1e-6 ? value : null;
+}
+
 function tick(value, log) {
   if (value === null || value === undefined) return "";
   if (!log) return String(value);
-  const power = Math.log10(value);
-  if (Math.abs(power - Math.round(power)) > 1e-6) return "";
-  return value >= 0.001 ? String(Number(value.toPrecision(2))) : value.toExponential(0).replace("-", "\u2212");
+  return String(Number(value.toPrecision(2)));
 }
 
 function shadeBehind(u, { shaded, shade }) {

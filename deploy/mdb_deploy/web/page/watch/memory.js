@@ -9,7 +9,7 @@ const HEIGHT = 132;
 const KINDS = {
   changed: (model) => `${model}: the world is another one now. What was learnt before may be wrong.`,
   known: (model) => `${model}: the new situation is learnt.`,
-  stored: (model, stored, again) => `${model}: stored in the long-term memory as number ${stored}${again ? ", better than before" : ""}.`,
+  stored: (model, stored, again) => `${model}: stored in the long-term memory as number ${stored}${again ? ", in the place of the older one" : ""}.`,
   recalled: (model, stored) => `${model}: number ${stored} fits again, and acts at once.`,
 };
 
@@ -57,7 +57,7 @@ export function start(root, { state, on }) {
     const shown = pairs[pointed ?? -1] ?? newest;
     const oldest = pairs.reduce((old, one) => (old === null || (one.age ?? 0) > (old.age ?? 0) ? one : old), null);
     const kind = shown === newest ? "The newest pair" : shown === oldest ? "The oldest pair" : "A pair";
-    say(which, shown ? `${kind}${Number.isFinite(shown.age) ? `, ${shown.age} iterations old` : ""}:` : "");
+    say(which, shown ? `${kind}${Number.isFinite(shown.age) ? `, ${shown.age} ${shown.age === 1 ? "iteration" : "iterations"} old` : ""}, as the network reads it (numbers from \u22121 to 1):` : "");
     tellPair(pair, shown, state.hello?.models.find((one) => one.name === model));
     tell(`Short-term memory of ${model}: ${memory.used} of ${memory.capacity} pairs. ${shown ? inWords(pair) : ""}`);
   };

@@ -71,7 +71,10 @@ export function spans(rows, phases, total) {
   const end = long.at(-1)?.to ?? 0;
   for (const [i, phase] of phases.entries()) {
     const to = phases[i + 1]?.start ?? total;
-    if (to > end) long.push({ from: Math.max(end, phase.start), to, teacher: phase.teacher ?? null, coming: true });
+    const last = long.at(-1);
+    if (to <= end) continue;
+    if (last !== undefined && last.teacher === (phase.teacher ?? null)) last.to = to;
+    else long.push({ from: Math.max(end, phase.start), to, teacher: phase.teacher ?? null });
   }
   return long;
 }
