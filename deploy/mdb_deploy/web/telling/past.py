@@ -151,8 +151,8 @@ class PastRun:
     def at(self, iteration: int, *, picture: bool = False) -> dict[str, Any]:
         """Return all parts at the moment when the action of an iteration was chosen, with what came of it.
 
-        `at` is the iteration; one beyond the log's end is its last one. picture: with the picture, for which the
-        episode is done again in another body (see `picture`).
+        A part that is not known of that moment is None. `at` is the iteration; one beyond the log's end is its last
+        one. picture: with the picture, for which the episode is done again in another body (see `picture`).
         """
         iteration = max(min(iteration, self.iterations - 1), 0)
         story = Story(self.plan, clock=None)
@@ -181,8 +181,9 @@ class PastRun:
         for part in ("thought", "finished"):
             heard.renew(part)
         story.trouble(self.trouble)
-        found = story.parts({})
-        found.pop("rows", None)
+        found = {name: story.part(name) for name in story.names}
+        found["models"] = {name: story.part(f"models/{name}") for name in self._memories}
+        found["memory"] = {name: story.part(f"memory/{name}") for name in self._memories}
         if picture:
             found["picture"] = self.picture(iteration)
         return {"at": iteration, **found}
@@ -203,7 +204,7 @@ class PastRun:
         return {name: version for name, version in told.items() if name in self._memories}
 
     def picture(self, iteration: int) -> dict[str, Any]:
-        """Return {iteration, drawing, image, missing: why there is none, or null}; the episode is done again for it."""
+        """Return {iteration, drawing, image, missing}: the episode is done again; why there is none, or null."""
         if self._film is None:
             changes = [(at, dict(settings)) for at, settings in self.experiment.robot.changes.items()]
             changes += [(newest, dict(change.settings)) for newest, change in self._changes]
@@ -211,7 +212,7 @@ class PastRun:
         return self._film.picture(iteration)
 
     def files(self) -> list[dict[str, Any]]:
-        """Return what may be downloaded: [{path (relative, with /), bytes}]; no keys, no databases, nothing hidden."""
+        """Return what may be downloaded: [{path (relative, with /), bytes}]; nothing hidden, no databases."""
         return [{"path": name, "bytes": path.stat().st_size} for name, path in self._files().items()]
 
     def file(self, path: str) -> Path | None:

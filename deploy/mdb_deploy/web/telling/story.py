@@ -150,9 +150,9 @@ class Story:
     def parts(self, seen: dict[str, int]) -> dict[str, Any]:
         """Return the frame `now` without `is`: all parts that are new for a reader, and its rows; {} when none is.
 
-        `seen` is what this reader has (begin with {}); it is brought up to date here. Rows that have changed (feedback
-        that came late) come again: a page puts what it gets in the place of what it has from `rows.from` on. A frame
-        has a bounded number of rows; the next call gives the next ones.
+        `seen` is what this reader has (begin with {}); it is brought up to date here. Rows that have changed (by
+        feedback that came late) come again: a page puts what it gets in the place of what it has from `rows.from` on.
+        A frame has a bounded number of rows; the next call gives the next ones.
         """
         found: dict[str, Any] = {}
         for name, version in self.versions.items():

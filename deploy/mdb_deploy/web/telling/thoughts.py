@@ -68,7 +68,7 @@ def thought(
         "predicted": number(meant.predicted, DIGITS),
         "badge": badge,
         "badge_words": _badge_words(badge, meant, around),
-        "why": why(plan, action, meant, mode, found, around),
+        "why": why(plan, action, mode, found, around),
         "actions": _shown(plan, meant, found),
         "came": None if report is None else {"feedback": number(report.feedback), "event": report.event},
     }
@@ -129,54 +129,58 @@ def badge_of(plan: Plan, meant: Intention, mode: Mode | None) -> str:
     return "obeys" if meant.note is not None and plan.uses_note(mode) else "alone"
 
 
-def why(plan: Plan, action: Action, meant: Intention, mode: Mode | None, found: Looked, around: Around) -> str:
+def why(plan: Plan, action: Action, mode: Mode | None, found: Looked, around: Around) -> str:
     """Return one short sentence, with numbers, of why this action was chosen."""
+    meant = action.intention or _unknown()
     name = f"'{plan.name(action.action, action.choice)}'"
     first = plan.brain.optimizer.random_iterations
     if meant.explored and action.iteration < first:
         return f"The first {first} iterations are random, so that it sees everything once."
     if mode is None:
-        if meant.mode == RANDOM_MODE:
-            return f"It can foresee nothing here yet, so it tries {name} by chance."
-        return f"It does {name}; why was not told."
+        chance = meant.mode == RANDOM_MODE
+        return f"It can foresee nothing here yet, so it tries {name} by chance." if chance else f"It does {name}."
     obeys = meant.note is not None and plan.uses_note(mode)
     begin = f"Note {meant.note}: it" if obeys else "It"
     if found.foreseen is None or found.chosen is None:
         return (
             f"{begin} {'tries' if meant.explored else 'does'} {name}; its models of that moment are not known here."
         )
-    promise = found.foreseen.promise
-    mine, best = float(promise[found.chosen]), max(found.best, float(promise.max()))
     if meant.explored:
-        return _why_explored(begin, name, mode, found, best, obeys=obeys)
-    sense = "" if obeys else "No teacher is there. " if around.teacher is None else "No note came. "
-    if mine >= best - ALIKE:
-        others = np.delete(promise, found.chosen)
-        if plan.brain.choice and len(others) and mine - others.max() < ALMOST:
-            second = f"'{_name_at(plan, found, int(np.argmax(np.where(_but(found), promise, -np.inf))))}'"
-            return f"{sense}{begin} expects {mine:+.2f} of {name}, about as much as of {second}."
-        if not obeys and mode.satisfaction in plan.books:
-            return f"{sense}It foresees that {name} brings it nearest to what was praised ({mine:+.2f})."
-        return f"{sense}{begin} expects {mine:+.2f} of {name}, more than of any other action."
-    if mode.margin and mine >= best - mode.margin - ALIKE:
-        return f"{sense}{begin} expects {mine:+.2f} of {name}, nearly the most ({best:+.2f}), and knows it better."
-    return f"{sense}{begin} expects {mine:+.2f} of {name}, the most of what it looked at."
+        return _why_explored(begin, name, mode, found, " under this note" if obeys else "")
+    if obeys:
+        return _why_best(plan, begin, name, mode, found)
+    alone = "No teacher is there." if around.teacher is None else "No note came."
+    return f"{alone} {_why_best(plan, begin, name, mode, found)}"
 
 
-def _but(found: Looked) -> np.ndarray:
-    """Return which actions were not chosen (n,)."""
-    return np.arange(len(next(iter(found.facts.values())))) != found.chosen
+def _why_best(plan: Plan, begin: str, name: str, mode: Mode, found: Looked) -> str:
+    """Return why a mode took what promises most, or about as much."""
+    assert found.foreseen is not None
+    assert found.chosen is not None
+    promise = found.foreseen.promise
+    mine, others = float(promise[found.chosen]), np.delete(promise, found.chosen)
+    expects = f"{begin} expects {mine:+.2f} of {name}"
+    if mine < found.best - ALIKE:
+        if mode.margin and mine >= found.best - mode.margin - ALIKE:
+            return f"{expects}, nearly the most ({found.best:+.2f}), and knows it better."
+        return f"{expects}, the most of what it looked at."
+    if plan.brain.choice and mine - others.max() < ALMOST:
+        second = int(np.argmax(others))
+        second += second >= found.chosen
+        return f"{expects}, about as much as of '{_name_at(plan, found, second)}'."
+    if not plan.uses_note(mode) and mode.satisfaction in plan.books:
+        return f"It foresees that {name} brings it nearest to what was praised ({mine:+.2f})."
+    return f"{expects}, more than of any other action."
 
 
-def _why_explored(begin: str, name: str, mode: Mode, found: Looked, best: float, *, obeys: bool) -> str:
+def _why_explored(begin: str, name: str, mode: Mode, found: Looked, under: str) -> str:
     assert found.foreseen is not None
     support = float(found.foreseen.support[found.chosen])
-    under = " under this note" if obeys else ""
-    if mode.aspiration is None or (mode.babbling > 0 and best >= mode.aspiration):
+    if mode.aspiration is None or (mode.babbling > 0 and found.best >= mode.aspiration):
         return f"{begin} tries {name}: now and then it does anything at all, to learn from it."
     if mode.curiosity > 0 and support < SUPPORTED:
         return f"{begin} tries {name}: it knows little of it{under}."
-    return f"{begin} tries {name}: the best that it expects{under} is {best:+.2f}, which is not enough."
+    return f"{begin} tries {name}: the best that it expects{under} is {found.best:+.2f}, which is not enough."
 
 
 def _badge_words(badge: str, meant: Intention, around: Around) -> str:

@@ -89,11 +89,12 @@ class Film:
             self.close()
             self._body = self._another()
         for at, settings in self._changes:
-            if at <= start:
+            if at < start:
                 self._change(settings)
         scene = self._logged(start)
         self._reading = self._body.reset(self._experiment.brain.experiment.seed, scene.episode)
         self._start = self._done = start
+        self._change_now()
         _check_same(self._body.scene(), scene.now, 0)
 
     def _act(self, iteration: int) -> None:
@@ -102,18 +103,21 @@ class Film:
         scene = self._logged(iteration + 1)
         if scene.action is None:
             raise BodyError(f"the log does not say what was done in iteration {iteration}")
-        for at, settings in self._changes:
-            if at == iteration and iteration > self._start:
-                self._change(settings)
         self._reading = self._body.act(scene.action).reading
         self._done += 1
         _check_same(self._body.scene(), scene.reached, self._done - self._start)
+        self._change_now()
 
     def _logged(self, iteration: int) -> Scene:
         scene = self._scene(iteration)
         if scene is None:
             raise BodyError(f"the log has no scene after {iteration} actions")
         return scene
+
+    def _change_now(self) -> None:
+        for at, settings in self._changes:
+            if at == self._done:
+                self._change(settings)
 
     def _change(self, settings: dict[str, Any]) -> None:
         if isinstance(self._body, Changeable):
