@@ -228,7 +228,7 @@ def test_whose_turn_it_is_is_said_with_the_time_that_is_left_and_w_makes_the_bra
             await ann.until(lambda: "hint:" not in ann.text("#says"))
             await ann.pilot.press("v")
             await ann.shows_scene_after(first)
-            await ann.until(lambda: "your turn: judge what it did, then play" in ann.text("#turn"))
+            await ann.until(lambda: "your turn: judge what it did" in ann.text("#turn"))
             await ann.pilot.press("9")
             await ann.until(lambda: re.search(r"your turn: play a note · \d+ s left", ann.text("#turn")))
 

@@ -10,6 +10,7 @@ from rich.style import Style
 from rich.text import Text
 
 from mdb_deploy.teach.screen.canvas import Window
+from mdb_deploy.teach.screen.panel import help_line
 from mdb_deploy.teach.screen.picture import HALF_BLOCK, STEP, STYLES, draw, follow, show_image, show_numbers
 from mdb_deploy.teach.screen.turn import HURRY, HURRY_S, closing, turn
 from mdb_deploy.teach.view import Exchange, Summary, Turn, View
@@ -408,7 +409,7 @@ LANGUAGE = Language("ordered", (0, 1, 2))
 PLAYED = (Exchange(6, spoke=True, note=1),)
 
 
-BOTH, PLAY = "your turn: judge what it did, then play a note", "your turn: play a note"
+BOTH, PLAY = "your turn: judge what it did (0 to 9), then play a note", "your turn: play a note"
 
 
 def seen(kind: Any, until_s: float | None = None, **more: Any) -> View:
@@ -457,3 +458,8 @@ def test_who_leaves_is_told_what_was_reached() -> None:
     assert "  obedience  50% of 2 notes\n" in closing(few, "ann", "pioneer")
     assert "notes      3; none could be followed" in closing(Summary(commands=3), "ann", "pioneer")
     assert closing(Summary(), "ann", "pioneer") == "ann has left pioneer. No note was played.\n"
+
+
+def test_the_line_of_keys_fits_an_ordinary_terminal() -> None:
+    assert help_line().cell_len <= 80
+    assert help_line().plain.endswith("q leave")

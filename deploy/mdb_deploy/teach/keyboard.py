@@ -6,8 +6,8 @@ DIGITS = "0123456789"
 FULL = {"+": 1.0, "=": 1.0, "-": -1.0}
 """Full reward and punishment; = is + without shift."""
 HELP = (
-    ("0-9", "-1…+1"), ("+-", "full"), ("space", "silent"), ("w", "wait"), ("p", "pause"), ("l", "language"),
-    ("h", "hint"), ("u", "rotate"), ("q", "leave"),
+    ("0-9+-", "judge"), ("space", "silent"), ("w", "wait"), ("p", "pause"), ("l", "notes"), ("h", "hint"),
+    ("u", "rotate"), ("q", "leave"),
 )  # fmt: skip
 
 

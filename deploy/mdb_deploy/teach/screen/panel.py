@@ -60,7 +60,7 @@ def help_line() -> Text:
     """Return the other keys."""
     text = Text()
     for key, what in HELP:
-        text.append(key, TITLE).append(f" {what}  ", FAINT)
+        text.append("  " if text else "").append(key, TITLE).append(f" {what}", FAINT)
     return text
 
 

@@ -41,7 +41,7 @@ def _cannot(view: View, name: str) -> str | None:
 
 def _your_turn(view: View) -> str:
     if view.turn.kind == "both":
-        return "your turn: judge what it did, then play a note"
+        return "your turn: judge what it did (0 to 9), then play a note"
     if any(exchange.note is not None for exchange in view.exchanges):
         return "your turn: play a note"
     return "your turn: play a note, see what it does, then judge"
