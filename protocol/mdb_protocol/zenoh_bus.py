@@ -297,7 +297,7 @@ class ZenohBus(Bus):
         def withdraw() -> None:
             if token in self._declared:
                 self._declared.remove(token)
-                token.undeclare()
+                token.undeclare()  # type: ignore[no-untyped-call]
 
         return withdraw
 

@@ -31,7 +31,7 @@ MAX_IMAGE = 256
 """Rows or columns of an image, at most."""
 MAX_FRAME = 48_000
 """Samples in one frame of sound; a second at the highest rate."""
-MAX_ACTION_S = 60.0
+MAX_ACTION_S = 60
 """Least time of an action that an operator may ask for, at most."""
 MAX_ENDED = 256
 """Phases that may be ended early."""
