@@ -112,7 +112,7 @@ export function told(state) {
   let text = own(thought?.badge_words, you?.name) || WORDS[kind](teacher);
   // The headline need not be said twice.
   if (text.toLowerCase().startsWith(title.toLowerCase())) text = capital(text.slice(title.length).replace(/^[\s,.:]+/, ""));
-  if (text === "" || (kind === "obeys" && /^obeys \S+$/i.test(text))) text = WORDS[kind](teacher ?? "a teacher");
+  if (text === "" || /^(explores|waits|obeys \S+)$/i.test(text)) text = WORDS[kind](teacher ?? "a teacher");
   if (mode === "past") title = `Past run · ${title}`;
   else if (finished) title = `The run is over · ${title}`;
   else if (control?.paused) title = `Paused · ${title}`;

@@ -29,7 +29,8 @@ export function start(root, { state, on }) {
   let pointed = null;
 
   const build = (beliefs) => {
-    heads.replaceChildren(el("tr", {}, el("td", { "aria-hidden": "true" }), ...beliefs.actions.map((name) => el("th", { scope: "col" }, name))));
+    const { middles, around } = shortened(beliefs.actions);
+    heads.replaceChildren(el("tr", {}, el("td", {}, around), ...middles.map((name) => el("th", { scope: "col" }, name))));
     cells = beliefs.notes.map((note, i) => beliefs.actions.map((_, j) => {
       const square = el("i");
       const number = el("span");
@@ -116,6 +117,21 @@ export function start(root, { state, on }) {
   });
   for (const part of ["beliefs", "teachers", "you", "hello"]) on(part, touch);
   on("thought", touch);
+}
+
+/** Names without the words that all of them begin or end with, which are told once: {middles, around}. */
+function shortened(names) {
+  const words = names.map((name) => name.split(" "));
+  const fewest = Math.min(...words.map((one) => one.length));
+  const alike = (place) => words.every((one) => one.at(place) === words[0].at(place));
+  let first = 0;
+  while (names.length > 1 && first < fewest - 1 && alike(first)) first += 1;
+  let last = 0;
+  while (names.length > 1 && last < fewest - 1 - first && alike(-1 - last)) last += 1;
+  return {
+    middles: words.map((one) => one.slice(first, one.length - last).join(" ").replace("-", "\u2212")),
+    around: [...words[0].slice(0, first), ...(last > 0 ? [`(${words[0].slice(-last).join(" ")})`] : [])].join(" "),
+  };
 }
 
 function mark(cell, name, is) {

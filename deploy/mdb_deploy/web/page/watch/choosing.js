@@ -19,21 +19,23 @@ export function start(root, { state, on }) {
   const promised = el("strong", { id: "promised" }, "–");
   const came = el("strong", { id: "came" }, "–");
   const cameOf = el("span", {}, "What came");
-  const outcome = el("div", { class: "outcome" },
-    el("div", {}, el("span", {}, "It predicted"), promised), el("span", { class: "arrow", "aria-hidden": "true" }, "→"),
+  const promisedOf = el("span", {}, "It predicted");
+  const outcome = el("div", { class: "outcome", id: "outcome" },
+    el("div", {}, promisedOf, promised), el("span", { class: "arrow", "aria-hidden": "true" }, "→"),
     el("div", {}, cameOf, came));
   const why = el("p", { class: "why", id: "why" });
   const key = el("p", { class: "key" },
     el("span", {}, "Strong colour: many pairs in its memory are like this. Faint: it only guesses."));
   const empty = el("p", { class: "empty" }, "It has not chosen anything yet.");
-  root.append(empty, situation, bars, axis, key, outcome, why);
+  const chart = el("div", { class: "bar-chart" }, bars, axis);
+  root.append(empty, situation, chart, key, outcome, why);
 
   let made = [];
   let shape = "";
   const paint = () => {
     const thought = state.thought;
     show(empty, !thought);
-    for (const part of [situation, bars, axis, key, outcome, why]) show(part, Boolean(thought));
+    for (const part of [situation, chart, key, outcome, why]) show(part, Boolean(thought));
     if (!thought) return;
     const actions = thought.actions ?? [];
     const names = JSON.stringify(actions.map((one) => label(one)));
@@ -43,23 +45,35 @@ export function start(root, { state, on }) {
       bars.replaceChildren(...made.map((one) => one.item));
       bars.dataset.many = actions.length > MANY ? "yes" : "no";
     }
-    show(bars, actions.length > 0);
-    show(axis, actions.length > 0);
+    show(chart, actions.length > 0);
     show(key, actions.length > 0);
     const most = Math.max(1, ...actions.map((one) => Math.abs(one.satisfaction ?? 0)), Math.abs(thought.came?.feedback ?? 0));
     for (const [i, one] of actions.entries()) fill(made[i], one, most, thought);
     tellSituation(situation, thought, state.you);
-    const predicted = thought.predicted ?? null;
-    tellNumber(promised, predicted);
-    const feedback = thought.came?.feedback ?? null;
-    tellNumber(came, feedback, thought.came ? "no feedback" : "…");
-    const event = thought.came?.event;
-    say(cameOf, event && event !== "none" && event !== "nothing" ? `What came: ${named(event)}` : "What came");
+    const done = outcomeOf(thought, state.rows);
+    tellNumber(promised, done.predicted);
+    tellNumber(came, done.feedback, done.waits ? "…" : "no feedback");
+    say(promisedOf, done.iteration === thought.iteration ? "It predicted" : `Iteration ${done.iteration}: it predicted`);
+    const told = done.event && done.event !== "none" && done.event !== "nothing";
+    say(cameOf, told ? `What came: ${named(done.event)}` : "What came");
     say(why, own(thought.why, state.you?.name));
   };
   const touch = painter(root, paint);
   on("thought", touch);
   on("you", touch);
+  on("rows", touch);
+}
+
+/** What was predicted and what came of it: of this action, or of the one before while this one goes on. */
+function outcomeOf(thought, rows) {
+  const now = { iteration: thought.iteration, predicted: thought.predicted ?? null };
+  if (thought.came) return { ...now, ...thought.came, waits: false };
+  const last = rows.iteration.length - 1;
+  if (last < 0 || rows.iteration[last] !== thought.iteration - 1) return { ...now, feedback: null, event: null, waits: true };
+  return {
+    iteration: rows.iteration[last], predicted: rows.predicted[last], feedback: rows.feedback[last],
+    event: rows.event[last], waits: false,
+  };
 }
 
 /** The name of an action, or its values where it has none. */

@@ -8,7 +8,7 @@ const SUCCESS_ROWS = 100;
 const OBEYED_ROWS = 20;
 const ERROR_PAIRS = 20;
 /** A curve ends where nothing came for so many rows. */
-const GAP_ROWS = 60;
+const GAP_ROWS = 30;
 /** Points that are drawn of each curve, however long the run. */
 const MOST_POINTS = 1500;
 /** The curves are drawn at most so often: drawing them costs most of all panels. */
@@ -24,7 +24,7 @@ export function start(root, { state, on }) {
   const legend = el("ul", { class: "key" });
   const charts = [
     chart("successes", `Successes in the last ${SUCCESS_ROWS} iterations`),
-    chart("obedience", `Commands obeyed of the last ${OBEYED_ROWS}`, { range: [0, 100] }),
+    chart("obedience", `Commands obeyed of the last ${OBEYED_ROWS}`, { range: [0, 104] }),
     chart("errors", `Error of each model (mean of ${ERROR_PAIRS} pairs)`, { log: true }),
   ];
   const plots = el("div", { class: "plots" }, charts.map((one) => one.figure));
@@ -111,7 +111,7 @@ function chart(id, title, { log = false, range = null } = {}) {
       grid: lines, ticks: { ...lines, size: 4 },
     };
     return new uPlot({
-      width: Math.max(120, box.clientWidth), height: HEIGHT, padding: [8, 10, 0, 0],
+      width: Math.max(120, box.clientWidth), height: HEIGHT, padding: [8, 24, 0, 0],
       legend: { show: false },
       cursor: { sync: { key: "curves" }, points: { size: 7 }, drag: { x: false, y: false }, y: false },
       scales: {
