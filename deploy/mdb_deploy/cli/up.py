@@ -78,7 +78,6 @@ def _up(arguments: argparse.Namespace) -> int:
         up_processes,
     )
     from mdb_services.experiment.brain import EXPERIMENT_FILE
-    from mdb_services.recorder import EmptyLogError
     from mdb_sim.runs.experiment import Experiment
 
     _check_words(arguments)
@@ -121,29 +120,40 @@ def _up(arguments: argparse.Namespace) -> int:
     if arguments.no_teacher and not arguments.inline:
         bundle = " --keys YOUR_BUNDLE" if arguments.keys else ""
         console.print(f"begins when somebody teaches: mdb teach --connect {where}{bundle}", soft_wrap=True)
-    status = 0
+    results = _Results(run, console, plot=not arguments.no_plot)
+    progress = Progress(console, experiment)
+    if arguments.inline:
+        status = up_inline(experiment, options, progress)
+        results.draw()
+    else:
+        status = up_processes(experiment, options, progress, results.draw)
+    return status or results.status
 
-    def over() -> None:
-        """Draw the figures, and say where the results are."""
-        nonlocal status
+
+class _Results:
+    """What is made of a run when it is over."""
+
+    def __init__(self, run: Path, console: Console, *, plot: bool) -> None:
+        self._run, self._console, self._plot = run, console, plot
+        self.status = 0
+        """The exit status of the command, as far as it depends on them."""
+
+    def draw(self) -> None:
+        """Draw the figures, and say where the results are; MdbError when the run folder is gone."""
+        from mdb_services.experiment.brain import EXPERIMENT_FILE
+        from mdb_services.recorder import EmptyLogError
+
+        run, console = self._run, self._console
         if not (run / EXPERIMENT_FILE).exists():
             raise MdbError(f"the run folder {run} was deleted or moved away: there are no results in its place")
-        if not arguments.no_plot:
+        if self._plot:
             console.print("drawing the figures")
             try:
                 draw([run], None)
             except EmptyLogError as error:
                 console.print(f"no figures: {error}", soft_wrap=True)
-                status = NOTHING_DONE
+                self.status = NOTHING_DONE
         console.print(f"results: {run}", soft_wrap=True)
-
-    progress = Progress(console, experiment)
-    if arguments.inline:
-        ended = up_inline(experiment, options, progress)
-        over()
-    else:
-        ended = up_processes(experiment, options, progress, over)
-    return ended or status
 
 
 def _web(arguments: argparse.Namespace, listen: str, run: Path, console: Console) -> Web | None:

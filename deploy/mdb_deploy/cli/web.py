@@ -39,7 +39,7 @@ def add(commands: Commands) -> None:
     web.add_argument("--run", type=Path, metavar="FOLDER", help="the brain's run folder (found, if it runs here)")
     web.add_argument("--experiment", type=experiment_path, metavar="FILE", help="what a brain elsewhere does")
     web.add_argument("--runs", type=Path, default=Path("runs"), help="where past runs are (runs)")
-    web.add_argument("--listen", metavar="HOST:PORT", help="where the page is (127.0.0.1:8787, or the next free port)")
+    web.add_argument("--listen", metavar="HOST:PORT", help="where the page is (127.0.0.1:8787, or the next port)")
     add_keys(web)
     web.set_defaults(command=_web, extra="web")
 

@@ -29,9 +29,7 @@ def change_robot(bus: Bus, settings: Mapping[str, Any]) -> None:
             raise MdbError(f"the robot has not changed within {ANSWER_S:g} s; may you change it? ('mdb keys roles')")
         bus.wait(LOOK_S)
     if now[1] > refused:
-        raise MdbError(
-            f"the robot refused {', '.join(settings)}; its log says why, 'mdb change --help' what there is"
-        )
+        raise MdbError(f"the robot refused {', '.join(settings)}; its log says why, 'mdb change --help' what it has")
 
 
 def _counts(bus: Bus) -> tuple[float, int]:

@@ -15,7 +15,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mdb_deploy.running.compose import OPTIMIZER, ROBOT, ROUTER, TEACHER, WEB, elsewhere, for_experiment, read
+from mdb_deploy.running.compose import (
+    OPTIMIZER,
+    ROBOT,
+    ROUTER,
+    TEACHER,
+    WEB,
+    ProcessSpec,
+    elsewhere,
+    for_experiment,
+    read,
+)
 from mdb_deploy.running.processes import ENDPOINT_FILE
 from mdb_deploy.running.progress import Progress
 from mdb_deploy.running.runner import Runner, StartError
@@ -166,15 +176,8 @@ def _alone_in(run: Path) -> Iterator[None]:
         yield
 
 
-async def _up(
-    experiment: Experiment, options: UpOptions, progress: Progress, on_over: Callable[[], None]
-) -> int:
-    loop = asyncio.get_running_loop()
-    stop = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stop.set)
-    (options.run / ENDPOINT_FILE).unlink(missing_ok=True)
-    watch = Watch(experiment, options.run, options.keys, await_robot=options.await_robot)
+def _processes(experiment: Experiment, options: UpOptions) -> tuple[dict[str, ProcessSpec], dict[str, str]]:
+    """Return the processes of a run, and what their commands' variables are."""
     variables = {
         "MDB_RUN_INSIDE": str(options.run),
         "MDB_LISTEN": options.listen,
@@ -195,6 +198,17 @@ async def _up(
         specs = elsewhere(specs, ROBOT)
     if options.connect is not None:
         specs = elsewhere(specs, ROUTER)
+    return specs, variables
+
+
+async def _up(experiment: Experiment, options: UpOptions, progress: Progress, on_over: Callable[[], None]) -> int:
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
+    (options.run / ENDPOINT_FILE).unlink(missing_ok=True)
+    watch = Watch(experiment, options.run, options.keys, await_robot=options.await_robot)
+    specs, variables = _processes(experiment, options)
     runner = Runner(specs, variables, options.run / "logs", watch.alive)
     if options.connect is None:
         watch.on_endpoint = lambda found: runner.connect(found, endpoints.with_port_of(options.listen, found))

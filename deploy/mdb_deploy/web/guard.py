@@ -1,7 +1,7 @@
 """Who may see the page and do what: hosts, origins, the tokens in links, and what a page of ours may load.
 
-Without keys the page is for this machine alone, and whoever is at it may do everything. With keys each role has a link
-of its own, with a secret in it that the browser keeps as a cookie. Pure but for the file of the secrets.
+Without keys the page is for this machine alone, and whoever is at it may do everything. With keys each role has a
+link of its own, with a secret in it that the browser keeps as a cookie. Pure but for the file of the secrets.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import hmac
 import json
 import re
 import secrets
-from collections.abc import Iterable
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
@@ -67,11 +66,15 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True)
 class Guard:
-    """See the module's docstring. `hosts`: by which names the page may be asked for; `tokens`: by role; None: open."""
+    """See the module's docstring."""
 
     site: Site
     hosts: frozenset[str]
+    """By which names the page may be asked for."""
     tokens: dict[str, str] | None = None
+    """The secret in each role's link; None: everyone who can open the page may do everything."""
+    known_as: str | None = None
+    """The host in the links, where it is another than the one that is listened at."""
 
     @property
     def cookie(self) -> str:
@@ -92,7 +95,7 @@ class Guard:
             raise RefusedError(f"a page of {shown(origin, 100)} may not use this console; open {self.site.address()}")
 
     def rights(self, token: str | None, cookie: str | None) -> Rights:
-        """Return what the holder of a link's token, or of the cookie, may do; RefusedError when it is none of ours."""
+        """Return what the holder of a link's token, or of the cookie, may do; RefusedError when it is none."""
         if self.tokens is None:
             return EVERYTHING
         for said in (token, self._in_cookie(cookie)):
@@ -118,12 +121,12 @@ class Guard:
             found = None
         return None if found is None else found.value
 
-    def links(self, hosts: Iterable[str] = ()) -> list[tuple[str, str]]:
+    def links(self) -> list[tuple[str, str]]:
         """Return what each link is for, and the link; without tokens there is one."""
-        names = list(hosts) or [None]
+        address = self.site.address(self.known_as)
         if self.tokens is None:
-            return [("page", self.site.address())]
-        return [(role, f"{self.site.address(names[0])}?token={token}") for role, token in self.tokens.items()]
+            return [("page", address)]
+        return [(f"page for a {role}", f"{address}?token={token}") for role, token in self.tokens.items()]
 
     def headers(self, host: str) -> dict[str, str]:
         """Return what each answer says of what a page of ours may load: from here, and from nowhere else."""

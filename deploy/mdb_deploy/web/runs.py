@@ -1,7 +1,7 @@
 """Past runs: which there are, and what a page asks of one.
 
-Reads only, and only below the folder of runs: names are checked, and what a link leads out of there is not shown. A run
-is read in a thread of its own, one question after the other; two runs are kept open.
+Reads only, and only below the folder of runs: names are checked, and what a link leads out of there is not shown. A
+run is read in a thread of its own, one question after the other; two runs are kept open.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PastRuns:
         return await self._do(self._list)
 
     async def ask(self, name: str, question: Callable[[Any], T]) -> T:
-        """Return what the `PastRun` of this name answers; NoRunError when there is none, MdbError when it is damaged."""
+        """Return what the `PastRun` of this name answers; NoRunError without one, MdbError when it is damaged."""
         return await self._do(lambda: question(self._run(name)))
 
     def file(self, name: str, path: str) -> Path:

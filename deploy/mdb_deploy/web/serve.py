@@ -145,8 +145,11 @@ def guard_of(options: WebOptions, port: int) -> Guard:
     if keys.is_dir():
         from mdb_deploy.keys.credentials import KeyFolder
 
-        hosts |= {host.lower() for host in KeyFolder(keys).hosts()}
-        return Guard(Site(options.host, port, encrypted=True), frozenset(hosts), tokens_in(keys))
+        named = KeyFolder(keys).hosts()
+        hosts |= {host.lower() for host in named}
+        anywhere = options.host in ("0.0.0.0", "::")
+        known_as = next((host for host in reversed(named) if host not in LOOPBACK), None) if anywhere else None
+        return Guard(Site(options.host, port, encrypted=True), frozenset(hosts), tokens_in(keys), known_as)
     user = Bundle.read(keys).user
     roles = ("viewer", "operator") if user is not None and user.role is Role.OPERATOR else ("viewer",)
     tokens = {role: secrets.token_urlsafe(TOKEN_BYTES) for role in roles}
@@ -177,25 +180,18 @@ def serve(
     with listening:
         guard = guard_of(options, listening.getsockname()[1])
         context = _certificate(options)
-        asyncio.run(_serve(options, listening, guard, context, stop, heart, on_open))
+        fan = Fan()
+        bridge = Bridge(options.place, options.instance, fan)
+        console = Console(guard, fan, bridge, options.runs, options.place.keys)
+        server = Server(_config(console, context))
+        asyncio.run(_Serving(server, console, bridge, stop, heart).run(listening, lambda: on_open(guard)))
 
 
-async def _serve(
-    options: WebOptions,
-    listening: socket.socket,
-    guard: Guard,
-    context: ssl.SSLContext | None,
-    stop: Callable[[], bool],
-    heart: Heart,
-    on_open: Callable[[Guard], None],
-) -> None:
-    fan = Fan()
-    bridge = Bridge(options.place, options.instance, fan)
-    console = Console(guard, fan, bridge, options.runs, options.place.keys)
+def _config(console: Console, context: ssl.SSLContext | None) -> uvicorn.Config:
     settings: dict[str, Any] = {}
     if context is not None:
         settings = {"ssl_context_factory": lambda *_: context}
-    config = uvicorn.Config(
+    return uvicorn.Config(
         console.app,
         loop="none",
         http="h11",
@@ -214,26 +210,39 @@ async def _serve(
         timeout_graceful_shutdown=CLOSING_S,
         **settings,
     )
-    server = Server(config)
-    serving = asyncio.create_task(server.serve(sockets=[listening]))
-    try:
-        while not (server.started or serving.done()):
-            heart.beat(START_S)
-            await asyncio.sleep(0.005)
-        on_open(guard)
-        log.info("the page can be opened", at=guard.site.address())
-        bridge.start()
-        os.nice(NICE)  # now, so that the page is there soon, however busy the machine is as a brain starts
-        heart.ready()
-        telling = asyncio.create_task(console.tell())
-        while not (stop() or serving.done()):
-            if bridge.beats.goes_on() and not telling.done():
-                heart.beat()
-            await asyncio.sleep(LOOK_S)
-        telling.cancel()
-    finally:
-        heart.beat(CLOSE_S)
-        await console.close()
-        server.should_exit = True
-        await asyncio.to_thread(bridge.stop)
-        await serving
+
+
+@dataclass(frozen=True)
+class _Serving:
+    """A server, and all that goes on beside it."""
+
+    server: Server
+    console: Console
+    bridge: Bridge
+    stop: Callable[[], bool]
+    heart: Heart
+
+    async def run(self, listening: socket.socket, on_open: Callable[[], None]) -> None:
+        """Serve until told to stop."""
+        serving = asyncio.create_task(self.server.serve(sockets=[listening]))
+        try:
+            while not (self.server.started or serving.done()):
+                self.heart.beat(START_S)
+                await asyncio.sleep(0.005)
+            on_open()
+            log.info("the page can be opened", at=self.console.guard.site.address())
+            self.bridge.start()
+            os.nice(NICE)  # now, so that the page is there soon, however busy the machine is as a brain starts
+            self.heart.ready()
+            telling = asyncio.create_task(self.console.tell())
+            while not (self.stop() or serving.done()):
+                if self.bridge.beats.goes_on() and not telling.done():
+                    self.heart.beat()
+                await asyncio.sleep(LOOK_S)
+            telling.cancel()
+        finally:
+            self.heart.beat(CLOSE_S)
+            await self.console.close()
+            self.server.should_exit = True
+            await asyncio.to_thread(self.bridge.stop)
+            await serving

@@ -231,17 +231,14 @@ class Console:
 
     async def _do(self, visitor: Visitor, order: orders.ALL) -> str:
         found, hub = self._bridge.found, self._bridge.hub
-        operates = isinstance(order, orders.OPERATING)
-        if not (visitor.may.operate if operates else visitor.may.teach):
-            role = "operator" if operates else "teacher"
-            raise MdbError(f"this link lets you watch; for this you need the {role}'s link")
+        _check_rights(visitor.may, order)
         if isinstance(order, orders.Leave):
             return await self._guests.leave(visitor)
         if found is None or hub is None:
             raise MdbError("no brain is there now; wait until it is")
         if isinstance(order, orders.Join):
             return await self._guests.join(visitor, order, found)
-        if not operates:
+        if isinstance(order, orders.TEACHING):
             return self._guests.obey(visitor, order)
         if self._operator is None:
             self._operator = Operator(found, self._credentials)
@@ -286,6 +283,14 @@ class Console:
         if self._operator is not None:
             await asyncio.to_thread(self._operator.close)
         self._past.close()
+
+
+def _check_rights(rights: Rights, order: orders.ALL) -> None:
+    """Raise MdbError when a visitor's link does not let him order this."""
+    operates = isinstance(order, orders.OPERATING)
+    if not (rights.operate if operates else rights.teach):
+        role = "operator" if operates else "teacher"
+        raise MdbError(f"this link lets you watch; for this you need the {role}'s link")
 
 
 async def _answer(asked: Awaitable[Any]) -> Response:

@@ -1,6 +1,7 @@
 """The bridge's thread: finds the brain, joins it with a hub, joins it again; the page is told what is waited for.
 
-Nothing that happens to router or brain ends it. It gives way to acting when both want the same core, as learning does.
+Nothing that happens to router or brain ends it. It gives way to acting when both want the same core, as learning
+does.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """What browsers are to be sent: the newest of each part of a story, encoded once for all of them.
 
-Owns what each browser has had. One thread tells the story and makes frames; browsers come and go in another. A browser
-that has not taken its last frame gets no new one: when it has, the next frame holds the newest of whatever it missed.
-So nothing queues, however slow it is.
+Owns what each browser has had. One thread tells the story and makes frames; browsers come and go in another. A
+browser that has not taken its last frame gets no new one: when it has, the next frame holds the newest of whatever it
+missed. So nothing queues, however slow it is.
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import msgspec
+import structlog
+
+log = structlog.get_logger()
 
 ROWS = "rows"
 
@@ -27,8 +30,8 @@ class Tale(Protocol):
     def part(self, name: str) -> Any:
         """Return the newest of a part."""
 
-    def parts(self, seen: dict[str, int]) -> dict[str, Any]:
-        """Return what is new for a reader who has seen these versions, which are brought up to date."""
+    def new_rows(self, seen: dict[str, int]) -> dict[str, Any] | None:
+        """Return the rows that are new for a reader who has seen so much, which is brought up to date; or None."""
 
 
 class Waiting:
@@ -48,10 +51,8 @@ class Waiting:
         """Return the words."""
         return self._words
 
-    def parts(self, seen: dict[str, int]) -> dict[str, Any]:
-        """Return nothing: it has no rows."""
-        seen.update(self.versions)
-        return {}
+    def new_rows(self, seen: dict[str, int]) -> None:
+        """There are no rows."""
 
 
 class Browser(Protocol):
@@ -74,7 +75,7 @@ class _Seat:
     hello: int = 0
     versions: dict[str, int] = field(default_factory=dict)
     rows: dict[str, int] = field(default_factory=dict)
-    """What it has had, as `Tale.parts` counts it; of use for the rows alone."""
+    """What it has had of the rows, as `Tale.new_rows` counts it."""
 
 
 class Fan:
@@ -87,6 +88,7 @@ class Fan:
         self._hellos = 0
         self._tale: Tale = Waiting()
         self._texts: dict[str, tuple[int, str]] = {}
+        self._failed: set[str] = set()
         self.needs = False
         """Whether a browser has come, or has taken its frame, since the last frames were made."""
         self.on_need: Callable[[], None] = lambda: None
@@ -148,13 +150,14 @@ class Fan:
     def _frames(
         self, seat: _Seat, versions: dict[str, int], rows: dict[str, tuple[str, dict[str, int]]]
     ) -> list[str]:
+        """Return the frames that a browser lacks: `hello` if it is another brain or run, and `now`."""
         frames = []
         if seat.hello != self._hellos:
             seat.hello, seat.versions, seat.rows = self._hellos, {}, {}
             frames.append(_json({**self._hello, "is": "hello", "rights": seat.browser.rights}))
         told, by_name = ['"is":"now"'], dict[str, list[str]]()
         for name, version in versions.items():
-            if name == ROWS or seat.versions.get(name) == version:
+            if seat.versions.get(name) == version:
                 continue
             seat.versions[name] = version
             group, slash, of = name.partition("/")
@@ -164,7 +167,7 @@ class Fan:
             else:
                 told.append(f"{_json(name)}:{text}")
         told += [f"{_json(group)}:{{{','.join(parts)}}}" for group, parts in by_name.items()]
-        if text := self._rows(seat, versions, rows):
+        if text := self._rows(seat, rows):
             told.append(f'"{ROWS}":{text}')
         if len(told) > 1:
             frames.append(f"{{{','.join(told)}}}")
@@ -174,22 +177,24 @@ class Fan:
         """Return a part as JSON; it is made once for all browsers."""
         if (kept := self._texts.get(name)) is not None and kept[0] == version:
             return kept[1]
-        text = _json(self._tale.part(name))
+        try:
+            text = _json(self._tale.part(name))
+        except Exception:  # one part's mistake must not keep the others from those who watch
+            if name not in self._failed:
+                log.exception("a part of the page cannot be told", part=name)
+                self._failed.add(name)
+            text = "null"
         self._texts[name] = (version, text)
         return text
 
-    def _rows(self, seat: _Seat, versions: dict[str, int], rows: dict[str, tuple[str, dict[str, int]]]) -> str:
+    def _rows(self, seat: _Seat, rows: dict[str, tuple[str, dict[str, int]]]) -> str:
         """Return the rows that a browser lacks; those who lack the same share the text."""
-        had = seat.rows
-        asked = {**versions, **{name: at for name, at in had.items() if name not in versions or name == ROWS}}
-        if ROWS not in had:
-            asked.pop(ROWS, None)
-        place = str(sorted(had.items()))
+        place = str(sorted(seat.rows.items()))
         if place not in rows:
-            found = self._tale.parts(asked).get(ROWS)
-            rows[place] = ("" if found is None else _json(found), asked)
-        text, after = rows[place]
-        seat.rows = {name: at for name, at in after.items() if name not in versions or name == ROWS}
+            seen = dict(seat.rows)
+            found = self._tale.new_rows(seen)
+            rows[place] = ("" if found is None else _json(found), seen)
+        text, seat.rows = rows[place][0], dict(rows[place][1])
         return text
 
 

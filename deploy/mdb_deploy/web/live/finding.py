@@ -108,7 +108,8 @@ def _brain_at(endpoint: str, credentials: Path | None) -> str:
     """Return the name of the first brain that is at a router."""
     if credentials is not None:
         return brains_of(credentials)[0]
-    with ZenohBus(NOBODY, endpoint, connect_timeout_s=JOIN_S) as bus:
+    bus = ZenohBus(NOBODY, endpoint, connect_timeout_s=JOIN_S)
+    with bus:
         brains = bus.brains()
     if not brains:
         raise NotYetError(f"no brain is at work at {endpoint}; 'mdb up' starts one")

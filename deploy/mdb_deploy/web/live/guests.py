@@ -1,8 +1,7 @@
 """Teachers who come by a browser: each is a `TeachingSession` on a bus of its own, in a thread of its own.
 
-Owns who is who. A name is given to one browser; a page that is loaded again, or whose connection was lost, goes on with
-its lesson when it is back in time. Otherwise, and when the bridge ends, the lesson ends. The methods that wait are
-called in a thread.
+Owns who is who. A name is given to one browser; a page that is loaded again, or whose connection was lost, goes on
+with its lesson when it is back in time. Otherwise, and when the bridge ends, the lesson ends.
 """
 
 from __future__ import annotations

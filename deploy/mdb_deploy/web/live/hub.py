@@ -1,8 +1,8 @@
 """What hears a brain for all browsers: one service, one bus, one story.
 
-Hears all that the story is told of. While nobody watches it does nothing else; for those who watch it makes frames, 20
-a second at most, and fewer where that would take more than its share of a processor. The robot makes pictures only for
-those who watch: a token of ours says so, as long as a browser is there.
+Hears all that the story is told of. While nobody watches it does nothing else; for those who watch it makes frames,
+20 a second at most, and fewer where that would take more than its share of a processor. The robot makes pictures only
+for those who watch: a token of ours says so, as long as a browser is there.
 """
 
 from __future__ import annotations

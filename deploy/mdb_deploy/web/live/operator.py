@@ -1,6 +1,6 @@
 """The operator's part: changes of the robot, and how the run goes on, on a bus of its own.
 
-One order after the other. How the run goes on is one state, of which the last word counts: each order changes one part
+One order after the other. How the run goes on is one state, of which the last word counts: each order changes a part
 of what was said last, by whomever.
 """
 
@@ -68,9 +68,7 @@ class Operator:
             until_s = time.monotonic() + HEARD_S
             while last() != said:  # the next order begins with this one
                 if time.monotonic() > until_s:
-                    raise MdbError(
-                        "it was said, and is not heard by others: do these keys let you? ('mdb keys roles')"
-                    )
+                    raise MdbError("it was said and is not heard: do these keys let you? ('mdb keys roles')")
                 time.sleep(LOOK_S)
 
     def _joined(self) -> ZenohBus:

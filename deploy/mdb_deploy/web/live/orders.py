@@ -1,4 +1,4 @@
-"""What a page may ask for: one JSON object each, told apart by its field `do`. Pure: reads and checks, does nothing."""
+"""What a page may ask for: one JSON object each, told apart by its field `do`. Pure: reads and checks."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """One browser: a WebSocket, what waits to be sent on it, and the orders that come.
 
-Owns the bounds. At most one set of frames waits besides the newest word on the lesson and a few answers; a browser that
-takes nothing for a minute is cut off. What it sends is read one message after the other, no faster than it may: more
-waits in its own network buffers.
+Owns the bounds. At most one set of frames waits besides the newest word on the lesson and a few answers; a browser
+that takes nothing for a minute is cut off. What it sends is read one message after the other, no faster than it may:
+more waits in its own network buffers.
 """
 
 from __future__ import annotations

@@ -68,11 +68,10 @@ export function showPast(parts) {
   if (parts.hello !== undefined) {
     stores.past = emptyStore();
   }
-  const whole = { ...parts };
   for (const name of BY_NAME) {
     if (parts[name] !== undefined) stores.past[name] = {};
   }
-  const changed = merge(stores.past, whole);
+  const changed = merge(stores.past, parts.hello === undefined ? parts : { ...parts, hello: whole(parts.hello) });
   if (state.mode === "past" && parts.hello === undefined) {
     show(changed);
   } else {
@@ -157,7 +156,7 @@ function take(text) {
   } else if (frame.is === "hello") {
     const known = stores.live.hello;
     if (known === undefined || known.run !== frame.run || known.brain !== frame.brain) stores.live = emptyStore();
-    stores.live.hello = frame;
+    stores.live.hello = whole(frame);
     if (state.mode === "live") showAll();
   } else if (frame.is === "you") {
     show(new Set(["you"]), { you: frame });
@@ -173,6 +172,18 @@ function take(text) {
 }
 
 // ---- merging
+
+/** A `hello` with all its fields: before there is a brain the server has nothing to say in most of them. */
+function whole(hello) {
+  return {
+    brain: "", run: "", live: false, choices: [], actuators: {}, commands: [], order: [], notes: 0, scale_hz: [],
+    ear: false, models: [], modes: [], phases: [], languages: {}, successes: [], changes: [], patience_s: [null, null],
+    action_s: null,
+    ...hello,
+    experiment: { name: "", iterations: 0, pace: "", seed: 0, words: "", ...hello.experiment },
+    rights: { teach: false, operate: false, ...hello.rights },
+  };
+}
 
 function emptyStore() {
   return { hello: undefined, rows: emptyRows(), models: {}, memory: {} };

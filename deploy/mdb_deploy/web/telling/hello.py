@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import takewhile
 from typing import Any
 
 from mdb_deploy.experiments import EXPERIMENTS, SUFFIX
@@ -70,13 +71,14 @@ def hello(
 
 
 def words_of(name: str) -> str:
-    """Return the first comment of a shipped experiment file, without its mark; "" when none is shipped."""
+    """Return the first sentence of what a shipped experiment file says of itself; "" when none is shipped."""
     try:
-        with (EXPERIMENTS / f"{name}{SUFFIX}").open(encoding="utf-8") as file:
-            first = file.readline(1000)
+        text = (EXPERIMENTS / f"{name}{SUFFIX}").read_text(encoding="utf-8")
     except OSError:
         return ""
-    return first.lstrip("# ").strip() if first.startswith("#") else ""
+    lines = takewhile(lambda line: line.startswith("# "), text.splitlines())
+    first, stop, _ = " ".join(line[2:].strip() for line in lines).partition(". ")
+    return f"{first}." if stop else first
 
 
 def scale_hz(brain: BrainConfig, notes: int) -> list[float]:

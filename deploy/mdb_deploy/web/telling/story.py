@@ -45,7 +45,8 @@ class Story:
         self._told: dict[str, int] = {}
         self._told_s: dict[str, float] = {}
         self._made: dict[str, tuple[int, Any]] = {}
-        self._waits = False
+        self._waits: str | None = None
+        """What the brain waits for, in words."""
         heard = self.heard
         self._make: dict[str, Callable[[], Any]] = {
             "scene": lambda: None if heard.scene is None else plain(heard.scene),
@@ -102,9 +103,8 @@ class Story:
         """Of each part the number of times that it was another; parts that are not known yet are left out."""
         if self._clock is None:
             return dict(self.heard.versions)
-        now = self._clock()
-        heard = self.heard
-        waits = not heard.finished and heard.perception is not None and now - heard.moved_s >= WAITS_S
+        now, heard = self._clock(), self.heard
+        waits = self._waits_for() if now - heard.moved_s >= WAITS_S else None
         if waits != self._waits:
             self._waits = waits
             heard.renew("thought")
@@ -183,25 +183,25 @@ class Story:
     # ---- the parts that are computed ----
 
     def _thought_part(self) -> Any:
-        heard = self.heard
-        if self._waits:
-            return waiting(0 if heard.perception is None else heard.perception.iteration, self._waits_for())
-        action = heard.action
+        heard, action = self.heard, self.heard.action
         if action is None:
-            return None
+            return None if self._waits is None else waiting(self._waits)
         versions = {} if action.intention is None else action.intention.versions
         found = {name: heard.known(name, version) for name, version in versions.items()}
         report = heard.report if heard.report is not None and heard.report.iteration == action.iteration else None
         around = Around(tuple(heard.learnt_from), self._teacher_now())
-        return thought(self.plan, action, {n: k for n, k in found.items() if k is not None}, report, around)
+        told = thought(self.plan, action, {n: k for n, k in found.items() if k is not None}, report, around)
+        return told if self._waits is None else told | {"badge": "waits", "badge_words": self._waits}
 
-    def _waits_for(self) -> str:
-        """Return in words what the brain waits for."""
+    def _waits_for(self) -> str | None:
+        """Return in words what the brain waits for, when nothing came for a while; None: for nothing."""
         heard = self.heard
+        if heard.finished or heard.perception is None:
+            return None
         if heard.control is not None and heard.control.paused:
             return "is paused"
         who = heard.obeyed or self._teacher_now()
-        perceived = 0 if heard.perception is None else heard.perception.iteration
+        perceived = heard.perception.iteration
         if heard.action is not None and heard.action.iteration >= perceived:
             return "waits for the robot"
         if who is None or not self.plan.notes:

@@ -74,12 +74,11 @@ def thought(
     }
 
 
-def waiting(iteration: int, words: str) -> dict[str, Any]:
-    """Return the part `thought` of a brain that waits."""
+def waiting(words: str) -> dict[str, Any]:
+    """Return the part `thought` of a brain that waits and has not chosen anything yet."""
     return {
-        "iteration": iteration, "mode": None, "note": None, "teacher": None, "explored": False, "predicted": None,
-        "badge": "waits", "badge_words": words, "why": f"{words[:1].upper()}{words[1:]}.", "actions": [],
-        "came": None,
+        "iteration": 0, "mode": None, "note": None, "teacher": None, "explored": False, "predicted": None,
+        "badge": "waits", "badge_words": words, "why": "", "actions": [], "came": None,
     }  # fmt: skip
 
 
@@ -119,7 +118,11 @@ def _spread_places(plan: Plan, facts: Facts, foreseen: Foreseen | None, chosen: 
         kept = must | set(np.linspace(1, LOOKED_AT - 1, room).round().astype(int).tolist())
     else:
         kept = must | set([place for place in range(1, count) if place not in must][:room])
-    return sorted(kept, key=lambda place: tuple(facts[name][place] for name in plan.actuators))
+    points = np.column_stack([facts[name] for name in plan.actuators])
+    if chosen is not None:  # one of the spread may be the same
+        same = np.flatnonzero(np.isclose(points, points[chosen]).all(axis=1)).tolist()
+        kept -= set(same) - {chosen}
+    return sorted(kept, key=lambda place: points[place].tolist())
 
 
 def badge_of(plan: Plan, meant: Intention, mode: Mode | None) -> str:
@@ -138,7 +141,7 @@ def why(plan: Plan, action: Action, mode: Mode | None, found: Looked, around: Ar
         return f"The first {first} iterations are random, so that it sees everything once."
     if mode is None:
         chance = meant.mode == RANDOM_MODE
-        return f"It can foresee nothing here yet, so it tries {name} by chance." if chance else f"It does {name}."
+        return f"It can foresee nothing here, so it tries {name} by chance." if chance else f"It does {name}."
     obeys = meant.note is not None and plan.uses_note(mode)
     begin = f"Note {meant.note}: it" if obeys else "It"
     if found.foreseen is None or found.chosen is None:
@@ -170,7 +173,7 @@ def _why_best(plan: Plan, begin: str, name: str, mode: Mode, found: Looked) -> s
         return f"{expects}, about as much as of '{_name_at(plan, found, second)}'."
     if not plan.uses_note(mode) and mode.satisfaction in plan.books:
         return f"It foresees that {name} brings it nearest to what was praised ({mine:+.2f})."
-    return f"{expects}, more than of any other action."
+    return f"{expects}, {'more than of any other action' if plan.brain.choice else 'the most of what it looked at'}."
 
 
 def _why_explored(begin: str, name: str, mode: Mode, found: Looked, under: str) -> str:

@@ -13,17 +13,10 @@ async function get(path) {
     throw new Error(error.name === "TimeoutError" ? "The console did not answer within a minute." : "There is no connection to the console.");
   }
   const text = await answer.text();
-  let said;
-  try {
-    said = JSON.parse(text);
-  } catch {
-    said = text;
-  }
   if (!answer.ok) {
-    const words = typeof said === "string" ? said : said?.words ?? said?.error;
-    throw new Error(words && words.length < 500 ? words : `The console answered ${answer.status}.`);
+    throw new Error(text && text.length < 600 && !text.startsWith("<") ? text : `The console answered ${answer.status}.`);
   }
-  return said;
+  return JSON.parse(text);
 }
 
 export class Archive {
@@ -33,32 +26,32 @@ export class Archive {
 
   /** All past runs, the newest first: [{name, words}]. */
   async runs() {
-    const said = await get("/runs");
-    const runs = Array.isArray(said) ? said : said.runs ?? [];
-    return runs.map((run) => (typeof run === "string" ? { name: run, words: "" } : { name: run.name, words: this._words(run) }));
+    return (await get("/runs")).map((run) => ({ name: run.name, words: this._words(run) }));
   }
 
   _words(run) {
-    const when = run.when ?? run.changed ?? run.modified;
-    return [
-      typeof run.experiment === "string" ? run.experiment : run.experiment?.name,
-      run.iterations ? `${run.iterations} iterations` : null,
-      typeof when === "number" ? new Date(when * 1000).toLocaleString([], { dateStyle: "medium", timeStyle: "short" }) : when,
-      run.live ? "runs now" : null,
-      run.trouble ?? null,
-    ].filter(Boolean).join(" · ");
+    const when = new Date(run.when * 1000).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+    return [run.experiment, run.iterations ? `${run.iterations} iterations` : "", when].filter(Boolean).join(" · ");
   }
 
   /** What never changes of a run: {hello, rows}. */
   async open(name) {
     this._moments.clear();
     const [hello, rows] = await Promise.all([get(this._path(name, "hello")), get(this._path(name, "rows"))]);
-    return { hello, rows: rows.rows ?? rows };
+    return { hello, rows };
   }
 
-  /** All parts at a moment. */
-  async at(name, iteration) {
-    const path = this._path(name, "at", iteration);
+  /** All parts at a moment but the picture. */
+  at(name, iteration) {
+    return this._kept(this._path(name, "at", iteration));
+  }
+
+  /** The picture of a moment. It takes longer: the robot's episode is done again. */
+  picture(name, iteration) {
+    return this._kept(this._path(name, "picture", iteration));
+  }
+
+  async _kept(path) {
     let parts = this._moments.get(path);
     if (parts === undefined) {
       parts = await get(path);
@@ -69,9 +62,8 @@ export class Archive {
   }
 
   /** What can be downloaded: [{path, bytes}]. */
-  async files(name) {
-    const said = await get(this._path(name, "files"));
-    return Array.isArray(said) ? said : said.files ?? [];
+  files(name) {
+    return get(this._path(name, "files"));
   }
 
   /** The address of a file. */

@@ -67,7 +67,7 @@ class Past {
     this._said = el("p", { class: "failed", role: "status" });
     const list = el("div", { class: "past-list" },
       el("div", { class: "head" }, el("h2", { id: "past-title" }, "Past runs"),
-        button("Look again", () => this._list(), { class: "aside", id: "runs-again", "aria-label": "Look for runs again" }),
+        button("Look again", () => this._list(), { class: "aside", id: "runs-again", title: "Look for runs again" }),
         el("p", { class: "plain" }, "Open a run to see any moment of it: all panels show that moment.")),
       this._runs, this._none);
 
@@ -200,7 +200,10 @@ class Past {
         if (name !== this._name) continue;
         this._shown = `${name} ${at}`;
         this._page.showPast({ ...parts, moment: at });
-        say(this._said, parts.picture?.missing ?? "");
+        if (at !== this._at) continue; // it is moved on: its picture is not waited for
+        const picture = await this._archive.picture(name, at);
+        if (name === this._name) this._page.showPast({ picture });
+        say(this._said, picture.missing ?? "");
       }
     } catch (error) {
       this._stop();

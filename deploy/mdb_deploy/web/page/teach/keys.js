@@ -79,7 +79,7 @@ export function faces(onJudge) {
       class: "face-key",
       "data-value": value,
       "aria-pressed": "false",
-      "aria-label": `${name}, ${signed(value).replace("−", "minus ")}`,
+      "aria-label": `${signed(value)} ${name}`,
       title: name,
     }),
   );
@@ -128,13 +128,13 @@ export class NoteKeys {
     const shown = [
       arrow(hello, name),
       el("span", { class: "meant" }, name),
-      letter && el("kbd", { "aria-hidden": "true" }, letter),
+      el("span", { class: "unseen" }, `, note ${note}, key `),
+      letter && el("kbd", {}, letter),
     ];
     return button(shown, () => this._onNote(note), {
       class: "note-key",
       "data-note": note,
       "data-command": name,
-      "aria-label": `note ${note + 1}: ${name}`,
       "aria-keyshortcuts": letter || null,
     });
   }

@@ -73,7 +73,7 @@ export class LanguageEditor {
       const note = this._language[command];
       const letter = NOTE_KEYS[note];
       const row = button(
-        [el("span", { class: "meant" }, this._hello.commands[command]), el("span", {}, `note ${note + 1}`),
+        [el("span", { class: "meant" }, this._hello.commands[command]), el("span", {}, `note ${note}`),
           letter && el("kbd", {}, letter)],
         () => this._choose(command),
         { class: "language-row", "data-command": command, "data-note": note },

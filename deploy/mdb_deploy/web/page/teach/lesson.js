@@ -67,8 +67,8 @@ export class Lesson {
 
     this._wanted = el("p", { class: "wanted" });
     this._hint = toggle("Hint", () => this._flip(), { id: "hint", "aria-keyshortcuts": "h", title: "Which note is right now (key h)" });
-    const silence = button(["say nothing", el("kbd", { "aria-hidden": "true" }, "space")], () => acts.note(null),
-      { class: "note-key silence", "data-note": "none", "aria-label": "Say nothing this time" });
+    const silence = button(["say nothing", el("kbd", {}, "space")], () => acts.note(null),
+      { class: "note-key silence", "data-note": "none" });
     this._notes = new NoteKeys((note) => acts.note(note), silence);
     this._play = el("div", { class: "step step-play" }, el("h3", {}, "Play"), this._wanted, this._notes.root);
 
@@ -101,8 +101,9 @@ export class Lesson {
       el("div", { class: "buttons tools" },
         this._sound,
         button("Language", acts.language, { id: "open-language", "aria-keyshortcuts": "l", title: "What your notes mean (key l)" }),
-        this._ear, this._silent, this._auto, this._give,
-        button("Leave", acts.leave, { id: "leave", class: "leave", "aria-keyshortcuts": "q", title: "Leave (key q)" })),
+        this._silent,
+        button("Leave", acts.leave, { id: "leave", class: "leave", "aria-keyshortcuts": "q", title: "Leave (key q)" }),
+        this._ear, this._auto, this._give),
       this._hears, exchanges, this._keysHelp());
     this._showExact();
   }
@@ -245,7 +246,7 @@ export class Lesson {
     const wanted = you.wanted ?? null;
     const note = wanted === null ? null : you.language[wanted];
     const due = ["play", "both"].includes(turn.kind) && !you.paused;
-    const words = !this.hint ? ""
+    const words = !this.hint || !due ? ""
       : note === null ? "No note is better than another now."
         : `Right now: “${hello.commands[wanted]}”.`;
     say(this._wanted, words);
@@ -270,7 +271,7 @@ export class Lesson {
       return;
     }
     const hz = heard.hz === null || heard.hz === undefined ? "" : `${Math.round(heard.hz)} Hz`;
-    const note = heard.note === null || heard.note === undefined ? "no note of the scale" : `note ${heard.note + 1}`;
+    const note = heard.note === null || heard.note === undefined ? "no note of the scale" : `note ${heard.note}`;
     say(this._heard, `Heard: ${[hz, note].filter(Boolean).join(", ")}`);
   }
 }

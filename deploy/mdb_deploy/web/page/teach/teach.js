@@ -3,20 +3,16 @@
 import { button, el, kept, keysTaken, say, show } from "./dom.js";
 import { understood } from "./keys.js";
 import { LanguageEditor, drawn, orderOf, ordered } from "./language.js";
+import { Left, scripted } from "./left.js";
 import { Lesson } from "./lesson.js";
-import { Microphone } from "./microphone.js";
-import { Sound } from "./sound.js";
+import { Microphone } from "./audio/microphone.js";
+import { Sound } from "./audio/sound.js";
 
 /** What a name may be on the wire: letters, digits, dot, line, underline; at most 64. */
 const NAME = /[^A-Za-z0-9_.-]+/g;
 const RETURN_MS = 60000;
 const AGAIN_MS = 1000;
 const LANGUAGES = { random: "random: by chance", ordered: "ordered: from right to left", reversed: "reversed: from left to right" };
-
-/** Whether a script of the experiment teaches in this run, or would if it were let. */
-export function scripted(state) {
-  return (state.alive ?? []).some((token) => token === "teacher/script");
-}
 
 export function start(root, page) {
   new Teach(root, page);
@@ -78,8 +74,8 @@ class Teach {
       el("label", { for: "teach-name" }, "Your name"), this._name,
       el("label", { for: "teach-language" }, "Your language"), this._language,
       this._takesRow, this._failed, this._come);
-    this._left = el("div", { class: "left", tabindex: -1 });
-    root.append(this._title, this._why, this._back, this._left, this._form, this._lesson.root);
+    this._left = new Left(this._page, () => this._again(), (on) => this._do({ do: "control", script: on }));
+    root.append(this._title, this._why, this._back, this._left.root, this._form, this._lesson.root);
   }
 
   _teaches() {
@@ -107,8 +103,8 @@ class Teach {
     say(this._why, whyNot ?? "");
     show(this._why, whyNot !== null);
     show(this._back, mode === "past" && state.connection === "open" && this._hello?.live);
-    const left = mode === "live" && !there && this._left.childElementCount > 0;
-    show(this._left, left);
+    const left = mode === "live" && !there && this._left.told;
+    show(this._left.root, left);
     show(this._form, whyNot === null && !there && !left);
     show(this._lesson.root, whyNot === null && there);
     if (whyNot !== null || !this._hello) return;
@@ -180,7 +176,7 @@ class Teach {
   _arrived(you) {
     this._me = { name: you.name, language: [...(you.language ?? [])] };
     this._coming = null;
-    this._left.replaceChildren();
+    this._left.clear();
     queueMicrotask(() => this._lesson.root.focus({ preventScroll: true }));
   }
 
@@ -193,8 +189,8 @@ class Teach {
     this._microphoneOff();
     if (this._returning || this._coming) return; // the connection was lost, not the will: see `_return`
     this._me = null;
-    this._showSummary(you?.summary, you?.trouble);
-    queueMicrotask(() => this._left.focus({ preventScroll: true }));
+    this._left.tell(this._hello, you?.summary, you?.trouble);
+    queueMicrotask(() => this._left.root.focus({ preventScroll: true }));
   }
 
   /** The connection is lost. When it is back within a minute the lesson goes on, under the same name. */
@@ -214,39 +210,10 @@ class Teach {
     this._show();
   }
 
-  _showSummary(summary, trouble) {
-    const { state } = this._page;
-    const parts = [el("h3", {}, trouble ? "Your lesson is over." : "You have left. Now watch: it goes on alone.")];
-    if (trouble) parts.push(el("p", {}, trouble));
-    if (summary && summary.commands > 0) {
-      const line = (name, words) => [el("dt", {}, name), el("dd", {}, words)];
-      const percent = (share) => (share === null || share === undefined ? "–" : `${Math.round(100 * share)} %`);
-      parts.push(el("dl", { class: "summary" },
-        ...line("Notes you played", String(summary.commands)),
-        ...line("It obeyed", `${summary.obeyed} times`),
-        ...line("Obedience, your first notes", percent(summary.first)),
-        ...line("Obedience, your last notes", percent(summary.last)),
-        ...line("Praised, punished", `${summary.rewards}, ${summary.punishments}`),
-        ...line("Successes while you taught", String(summary.successes))));
-    } else {
-      parts.push(el("p", {}, "You played no note this time."));
-    }
-    parts.push(el("p", {}, "See the badge at the top: the robot acts by the model that it made from your feedback."));
-    const more = [button("Come back as somebody else", () => this._again(), { id: "come-back" })];
-    if (this._hello?.rights?.operate && scripted(state) && state.control?.script === false) {
-      const give = button("Give back to the scripted teacher", async () => {
-        if (await this._do({ do: "control", script: true })) give.remove();
-      }, { id: "give-back-after" });
-      more.push(give);
-    }
-    parts.push(el("div", { class: "buttons" }, ...more));
-    this._left.replaceChildren(...parts);
-  }
-
   _again() {
     const [, stem, number] = /^(.*?)-?(\d*)$/.exec(this._name.value);
     this._name.value = `${stem || "you"}-${Number(number || 1) + 1}`;
-    this._left.replaceChildren();
+    this._left.clear();
     this._show();
     this._name.focus();
     this._name.select();

@@ -1,8 +1,8 @@
 // Try: pause, pace, the next phase, and what can be changed of the body while it learns.
 
 import { button, el, press, say, show, toggle } from "./dom.js";
+import { scripted } from "./left.js";
 import { Mover } from "./mover.js";
-import { scripted } from "./teach.js";
 
 /** How many times the experiment's own pace; and the seconds of an action where the experiment has no pace of its own. */
 const TIMES = [0.1, 0.25, 0.5, 1, 2, 5, 10];

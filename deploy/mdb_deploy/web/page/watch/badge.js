@@ -66,10 +66,16 @@ export function start(root, { state, on, showLive }) {
 
   on("hello", (hello) => {
     if (hello === undefined) return;
-    say(run, `${hello.experiment.name} · ${hello.run || hello.brain}`);
-    run.title = hello.experiment.words || "";
-    document.title = `${hello.experiment.name} · Multilevel Darwinist Brain`;
-    say(of, ` of ${hello.experiment.iterations}`);
+    const { name, iterations, words: about } = hello.experiment;
+    // Without a brain only past runs can be seen: the other panels would be empty.
+    document.body.dataset.brain = name === "" ? "none" : "there";
+    say(run, name === "" ? "" : `${name} · ${hello.run || hello.brain}`);
+    run.title = about;
+    document.title = name === "" ? "Multilevel Darwinist Brain" : `${name} · Multilevel Darwinist Brain`;
+    say(of, iterations > 0 ? ` of ${iterations}` : "");
+    show(phases, name !== "");
+    show(count.parentElement, name !== "");
+    renew();
     build(phases, hello);
     progress();
   });
@@ -85,7 +91,7 @@ export function start(root, { state, on, showLive }) {
   });
   const warn = () => {
     const text = state.mode === "live" ? state.trouble : null;
-    say(trouble, text ?? "");
+    say(trouble, capital(text ?? ""));
     show(trouble, Boolean(text));
   };
   on("trouble", warn);
@@ -116,7 +122,9 @@ export function told(state) {
   if (mode === "past") title = `Past run · ${title}`;
   else if (finished) title = `The run is over · ${title}`;
   else if (control?.paused) title = `Paused · ${title}`;
-  else if (thought === undefined && hello !== undefined && !hello.live) text = "No brain runs now. Open a past run below.";
+  else if (!thought && hello !== undefined && hello.experiment.name === "") {
+    return { kind, title: "No brain runs now", text: "You can look at past runs." };
+  }
   return { kind, title, text };
 }
 
@@ -156,7 +164,7 @@ function spread(phases, total) {
 }
 
 function fill(phases, at, phase, hello) {
-  if (hello === undefined) return;
+  if (hello === undefined || hello.experiment.name === "") return;
   const all = [...phases.children];
   const starts = all.map((one) => Number(one.dataset.start));
   let now = starts.findLastIndex((start) => at !== null && start <= at);

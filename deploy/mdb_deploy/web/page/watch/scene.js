@@ -147,7 +147,8 @@ function drawAll(context, shapes, window, width, height) {
 /** A dot at each unit, or at each ten, hundred, tenth of one, as it fits. */
 function grid(context, window, at, width, height, scale) {
   const step = 10 ** Math.floor(Math.log10(window.span / 2));
-  context.fillStyle = faint("muted", 0.5);
+  const many = (width * height) / (step * scale) ** 2 > 60;
+  context.fillStyle = faint("muted", many ? 0.3 : 0.6);
   const [columns, rows] = [width / scale / 2, height / scale / 2];
   for (let i = Math.ceil((window.x - columns) / step); i * step <= window.x + columns; i++) {
     for (let j = Math.ceil((window.y - rows) / step); j * step <= window.y + rows; j++) {
