@@ -10,12 +10,24 @@ from msgspec import structs
 
 from mdb_protocol import keys
 from mdb_protocol.errors import MdbError
-from mdb_protocol.messages import Scene
+from mdb_protocol.messages import Lesson, Phase, Scene
 from mdb_services.recorder import EmptyLogError
 from mdb_sim.figures.four_to_six import band, draw, draw_band
-from mdb_sim.runs.record import Episode
+from mdb_sim.figures.people import MOST_ROWS, Stay, lanes, stays
+from mdb_sim.runs.record import Episode, RunRecord
 from mdb_sim.runs.trajectories import captured, typical
-from tests.sim.test_measures import Log, of_another_body, place, report, scene, with_another_body, write_run
+from tests.sim.test_measures import (
+    ITERATIONS,
+    PHASE,
+    Log,
+    of_another_body,
+    place,
+    report,
+    scene,
+    small_experiment,
+    with_another_body,
+    write_run,
+)
 
 NAMES = ["figure4", "figure5", "figure6"]
 
@@ -114,6 +126,56 @@ def test_a_run_of_a_few_iterations_is_drawn_with_a_note(tmp_path: Path, iteratio
     assert "no data in this log" in text_of(paths[1])
     assert "no captures in this log" in text_of(paths[3])
     assert text_of(paths[5]).count("no captures in this log") == 2
+
+
+SAID = {"commands": ["go", "stop"], "notes": [0, 1]}
+
+
+def with_people(run: Path, *, scripted: bool = True) -> RunRecord:
+    """A run in which, beside the script, ann teaches twice, bob goes without a word, and nobody hears carl."""
+    log = Log(run, small_experiment(scripted=scripted))
+    there = {"ann": (range(120, 180), range(310, 330)), "bob": (range(150, 190),), "carl": (range(110, 390),)}
+    for i in range(ITERATIONS):
+        if scripted and i % PHASE == 0:
+            teacher = ("one", None, "two", None)[i // PHASE]
+            log.put(keys.PHASE, Phase(iteration=i, name=f"phase {i // PHASE}", teacher=teacher))
+        for name, spans in there.items():
+            for span in spans:
+                if i == span.start:
+                    log.put(keys.LESSON, Lesson(teacher=name, iteration=i, **SAID), teacher=name)
+                elif i == span.stop and name != "bob":
+                    over = Lesson(teacher=name, iteration=i, commands=[], notes=[], over=True)
+                    log.put(keys.LESSON, over, teacher=name)
+        heard = [name for name in ("ann", "bob") if any(i in span for span in there[name])]
+        said = report(i)
+        if heard:
+            said = structs.replace(said, teacher=heard[0], note=0, judges=heard)
+        log.put(keys.SCENE, scene(i))
+        log.put(keys.ITERATION, said)
+    return log.close()
+
+
+def test_whoever_taught_is_marked_beside_the_scripted_phases(tmp_path: Path) -> None:
+    record = with_people(tmp_path / "run")
+    assert stays(record) == (Stay("ann", 120, 180), Stay("bob", 150, 190), Stay("ann", 310, 330))
+    assert [[stay.name for stay in row] for row in lanes(stays(record))] == [["ann", "ann"], ["bob"]]
+    text = text_of(draw(record.run)[3])
+    assert text.count("ann teaches") == 2
+    assert text.count("bob teaches") == 1
+    assert "carl" not in text
+    assert "phase 2" in text
+
+
+def test_without_a_script_a_person_alone_is_the_phase_and_has_no_strip(tmp_path: Path) -> None:
+    record = with_people(tmp_path / "run", scripted=False)
+    assert "ann" in [span.teacher for span in record.spans]
+    assert stays(record) == (Stay("ann", 120, 180),), "of two at once a phase shows the one who came last"
+
+
+def test_of_many_people_the_rows_are_bounded() -> None:
+    rows = lanes(tuple(Stay(f"t{i}", i, 100) for i in range(50)))
+    assert len(rows) == MOST_ROWS
+    assert sum(map(len, rows)) == 50
 
 
 def test_several_runs_are_drawn_with_a_band(run: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ they go.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -16,6 +17,7 @@ import numpy as np
 from mdb_protocol.errors import MdbError
 from mdb_protocol.words import shown
 from mdb_services.recorder import EmptyLogError
+from mdb_sim.figures.people import Stay, lanes, stays
 from mdb_sim.runs import measures
 from mdb_sim.runs.record import Doubles, RunRecord, read_record
 from mdb_sim.runs.trajectories import draw_trajectories
@@ -47,6 +49,10 @@ TEACHER_SHADES = ("#d9e8f3", "#fbe6d3", "#d9efe6", "#f3e0ec")
 """One background a teacher, in the order of appearance; without a teacher it is white."""
 ERROR_TOP = (0.3, 2.0)
 """Least and greatest upper end of an error axis; above 1 the model is worse than saying 0 to everything."""
+ROOM = 0.07
+"""Words of a phase need so much of the iteration axis."""
+LANE = 0.06
+"""Height of the strip of a person who taught, as a share of the panel."""
 MOST_NAME = 40
 """Characters of a phase's name."""
 RESAMPLES = 2000
@@ -189,9 +195,11 @@ def _pieces(record: RunRecord, values: Doubles) -> list[tuple[Doubles, Doubles]]
 def _draw_successes(record: RunRecord, figure: Figure) -> None:
     """Figure 5: captures of the object against iterations, with the phases; of another machine, its successes.
 
-    Where the experiment calls no event a success, each event that ends an episode is counted.
+    Where the experiment calls no event a success, each event that ends an episode is counted. People who taught
+    beside the scripted phases have strips above the curve.
     """
-    axes = _success_axes(record, figure)
+    people = lanes(stays(record))
+    axes = _success_axes(record, figure, under=LANE * len(people))
     if record.experiment.robot.successes:
         axes.plot(np.arange(record.iterations + 1), record.successes, color=BLUE, linewidth=2, drawstyle="steps-post")
         _count(axes, [record])
@@ -204,7 +212,26 @@ def _draw_successes(record: RunRecord, figure: Figure) -> None:
             axes.plot(count, color=colour, linewidth=2, drawstyle="steps-post", label=event)
         axes.legend(loc="lower right", frameon=False)
         most = max((int(count[-1]) for count in counts.values() if len(count)), default=0)
-    axes.set_ylim(0, max(10.0, 1.08 * most))
+    axes.set_ylim(0, max(10.0, 1.08 * most) / (1 - LANE * len(people)))
+    _mark_people(axes, record, people)
+
+
+def _mark_people(axes: Axes, record: RunRecord, rows: Sequence[Sequence[Stay]]) -> None:
+    """Draw a strip a person at the top of the panel, in a colour of its own, from coming to leaving."""
+    scripted = {span.teacher for span in record.taught}
+    names = list(dict.fromkeys(stay.name for row in rows for stay in row))
+    for place, row in enumerate(rows):
+        top = 1 - LANE * place
+        for stay in row:
+            shade_of = TEACHER_SHADES[(len(scripted) + names.index(stay.name)) % len(TEACHER_SHADES)]
+            axes.axvspan(
+                stay.start, stay.stop, ymin=top - LANE, ymax=top, facecolor=shade_of, edgecolor=MUTED, linewidth=0.8
+            )
+            axes.annotate(
+                f"{shown(stay.name, MOST_NAME)} teaches", (stay.start, top - LANE / 2),
+                xycoords=axes.get_xaxis_transform(), xytext=(4, 0), textcoords="offset points",
+                ha="left", va="center", fontsize=8.5, color=INK,
+            )  # fmt: skip
 
 
 def _successes_of(record: RunRecord) -> str:
@@ -215,7 +242,8 @@ def _successes_of(record: RunRecord) -> str:
     return f"Successes ({', '.join(successes)})" if successes else "Ends of episodes"
 
 
-def _success_axes(record: RunRecord, figure: Figure) -> Axes:
+def _success_axes(record: RunRecord, figure: Figure, under: float = 0.0) -> Axes:
+    """Make the panel of figure 5; words in it stay below its upper `under`, a share."""
     axes: Axes = figure.subplots()
     _shade(axes, record, labelled=True, above=1.07)
     axes.set_title(_title(record), pad=36, fontsize=12)
@@ -226,7 +254,7 @@ def _success_axes(record: RunRecord, figure: Figure) -> Axes:
         axes.axvspan(0, stop, facecolor="none", edgecolor="#9bb4c6", hatch="///", linewidth=0)
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
         axes.text(
-            0.008, 0.96, "random\nexploration", transform=axes.transAxes,
+            0.008, 0.96 - under, "random\nexploration", transform=axes.transAxes,
             ha="left", va="top", fontsize=9, color=INK, bbox=box,
         )  # fmt: skip
     return axes
@@ -237,8 +265,10 @@ def _title(record: RunRecord) -> str:
 
 
 def _count(axes: Axes, records: Sequence[RunRecord]) -> None:
-    """Write above each phase the (mean) successes in it; only where all logs hold the whole phase."""
+    """Write above each phase the (mean) successes in it, where all logs hold all of it and there is room."""
     for span in records[0].spans:
+        if span.stop - span.start < ROOM * _end(records[0]):
+            continue
         start, stop = measures.success_window(records[0], span)
         count = float(np.mean([measures.successes(record, (start, stop)) for record in records]))
         if np.isfinite(count) and stop > start:
@@ -326,11 +356,14 @@ def shade(axes: Axes, phases: Sequence[Shown], *, labelled: bool, above: float =
             axes.axvspan(phase.start, phase.stop, facecolor=colour, linewidth=0, zorder=0)
         if phase.start > 0:
             axes.axvline(phase.start, color=MUTED, linewidth=0.8)
-        if labelled:
-            axes.text(
-                (phase.start + phase.stop) / 2, above, shown(phase.name, MOST_NAME),
-                transform=axes.get_xaxis_transform(), ha="center", va="bottom", fontsize=9.5, color=INK,
-            )  # fmt: skip
+    if not labelled:
+        return
+    for name, alike in groupby(phases, lambda phase: phase.name):  # a teacher who is silent for a while parts a phase
+        parts = list(alike)
+        axes.text(
+            (parts[0].start + parts[-1].stop) / 2, above, shown(name, MOST_NAME),
+            transform=axes.get_xaxis_transform(), ha="center", va="bottom", fontsize=9.5, color=INK,
+        )  # fmt: skip
 
 
 def _shade(axes: Axes, record: RunRecord, *, labelled: bool, above: float = 1.02) -> None:
