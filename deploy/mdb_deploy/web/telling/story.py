@@ -207,7 +207,7 @@ class Story:
         if who is None or not self.plan.notes:
             return "waits"
         judged = heard.report is not None and heard.report.iteration >= perceived - 1
-        return f"waits for {who}'s {'note' if judged or perceived == 0 else 'feedback'}"
+        return f"waits for {who} to {'play' if judged or perceived == 0 else 'judge'}"
 
     def _teacher_now(self) -> str | None:
         """Return who teaches: a person, or else the scripted teacher of the phase."""
