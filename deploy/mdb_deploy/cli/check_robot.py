@@ -12,8 +12,8 @@ from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
 DESCRIPTION = """\
-Plays the brain against a robot that you start, and says duty by duty what holds; the duties are in
-protocol/README.md ('mdb keys duties'). Exit status 0 only when all hold. The robot will move.
+Takes the place of the brain for a robot that you start, and says of each duty whether it holds. The duties are in
+protocol/README.md ('mdb keys duties'). The exit status is 0 only when all hold. The robot will move.
 """
 
 
@@ -21,7 +21,7 @@ def add(commands: Commands) -> None:
     """Add `check-robot`."""
     check = commands.add_parser(
         "check-robot",
-        help="play the brain against a robot of yours: which of its duties hold",
+        help="try a robot of yours: which of its duties hold",
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,

@@ -31,18 +31,26 @@ from mdb_deploy.cli.failing import let_go, told, unbreakable
 from mdb_deploy.cli.parsing import Parser, own_version
 from mdb_protocol.words import shown
 
-EPILOG = """\
+DESCRIPTION = """\
+A robot learns from a teacher, and goes on alone when the teacher has left: the Multilevel Darwinist Brain.
+
 first steps:
-  mdb up                                  the paper's experiment, in processes over Zenoh, with figures
-  mdb up --pace lockstep --seed 3         the same, repeatable value by value
-  mdb up --inline --iterations 600        in one process, without a router
-  mdb up my.toml --set evolution.population=400 --set robot.body=kinematic
-  mdb init my-robot --like gymnasium:CartPole-v1, then mdb up my-robot: a robot of your own
-  mdb up --no-teacher                     you teach, with 'mdb teach' in another terminal
-  mdb status                              who is alive, and how each process does
-  mdb plot RUN                            the figures again, from the run's log alone
+  mdb up                    the demonstration, two minutes: two teachers, and the robot alone after each
+  mdb up --web              the same in your browser, where you can teach it, too
+  mdb up --no-teacher       you teach it; in another terminal: mdb teach
+  mdb up paper              the experiment of the paper
+  mdb init my-robot         an experiment of your own, to begin with; then: mdb up my-robot
+  mdb plot RUN              the figures of a run again
 """
-ORDER = (up, web, init, teach, change, status, plot, study, ltm, past, keys, check_robot, chaos, check, run)
+EPILOG = """\
+more of 'mdb up':
+  mdb up --inline                         in one process, without a router
+  mdb up paper --pace lockstep --seed 3   repeatable: one seed, one run, value by value
+  mdb up my.toml --set evolution.population=400 --set robot.body=kinematic
+
+'mdb COMMAND --help' tells the options of a command; deploy/README.md tells more.
+"""
+ORDER = (up, web, teach, init, plot, status, change, past, ltm, study, keys, check_robot, chaos, check, run)
 """The commands, as `mdb --help` lists them."""
 
 
@@ -94,13 +102,13 @@ def _words_shown(_: object, __: str, event: MutableMapping[str, Any]) -> Mutable
 def _parser() -> Parser:
     parser = Parser(
         prog="mdb",
-        description="A robot learns from a teacher: the Multilevel Darwinist Brain over Eclipse Zenoh.",
+        description=DESCRIPTION,
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     python = f"Python {platform.python_version()}, {sys.executable}"
     parser.add_argument("--version", action="version", version=f"mdb {own_version()} ({python})")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", title="commands")
     for command in ORDER:
         command.add(commands)
     return parser

@@ -18,7 +18,7 @@ def add(commands: Commands) -> None:
     export.set_defaults(command=_export)
     replay = commands.add_parser(
         "replay",
-        help="replay services of a recorded run alone against its log",
+        help="do the services of a recorded run say the same again?",
         description="Each service hears what it heard then, and must say what it said then, value by value; "
         "otherwise the exit status is 1. Of a concurrent run robot, teacher, ear and evolvers can be replayed.",
     )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Add `run`, `prepare`, `follow` and `warm-up`: what compose.yaml calls."""
-    run = commands.add_parser("run", help="run one service (compose does this)", allow_abbrev=False)
+    run = commands.add_parser("run", help="run one process of a brain ('mdb up' does this)", allow_abbrev=False)
     run.add_argument("service", help="router, recorder, memory, evolver, optimizer, robot, teacher, ear or web")
     run.add_argument("--run", type=Path, help="run folder with experiment.toml")
     run.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
@@ -49,7 +49,7 @@ def add(commands: Commands) -> None:
     follow.add_argument("--known-as", metavar="FOLDER", help="what the run folder is called outside of the container")
     add_keys(follow)
     follow.set_defaults(command=_follow)
-    warm_up = commands.add_parser("warm-up", help="compile the evolvers' kernels (the first start does it too)")
+    warm_up = commands.add_parser("warm-up", help="compile what learns (the first 'mdb up' does it, too)")
     warm_up.set_defaults(command=_warm_up)
 
 

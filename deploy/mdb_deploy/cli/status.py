@@ -11,7 +11,7 @@ from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
 def add(commands: Commands) -> None:
     """Add `status` and `health`."""
-    status = commands.add_parser("status", help="who is alive, and how each process does")
+    status = commands.add_parser("status", help="which processes live, and how each does")
     health = commands.add_parser("health", help="exit status 0 when ROLE/INSTANCE (or the router) is ready")
     health.add_argument("name", help="router, or ROLE/INSTANCE as in 'mdb status'")
     for parser in (status, health):

@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
     teach = commands.add_parser(
         "teach",
         help="teach a brain from this terminal",
-        description="See the robot, say notes, reward and punish. Needs the extra 'teach' only.",
+        description="See the robot, play notes, reward and punish. Needs the extra 'teach' only.",
         epilog=TEACH_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
