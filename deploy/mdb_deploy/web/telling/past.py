@@ -23,6 +23,7 @@ from mdb_deploy.web.telling.story import Story
 from mdb_protocol import messages as m
 from mdb_services.experiment.brain import EXPERIMENT_FILE
 from mdb_services.mechanism.actions.foresight import Known
+from mdb_sim.body import Reading
 from mdb_sim.runs.experiment import Experiment
 
 SHOTS, SPACING = 128, 64
@@ -124,6 +125,10 @@ class PastRun:
         found = self._log.get(m.Scene, iteration)
         return found if isinstance(found, m.Scene) else None
 
+    def _sensed(self, iteration: int) -> Reading | None:
+        found = self._log.get(m.Perception, iteration)
+        return found.reading if isinstance(found, m.Perception) else None
+
     def _known(self, name: str, version: int) -> Known | None:
         """Return a current model, ready to use."""
         model, models = self._log.model(name, version), Models(self.plan, name)
@@ -208,7 +213,7 @@ class PastRun:
         if self._film is None:
             changes = [(at, dict(settings)) for at, settings in self.experiment.robot.changes.items()]
             changes += [(newest, dict(change.settings)) for newest, change in self._changes]
-            self._film = Film(self.experiment, self._scene, changes)
+            self._film = Film(self.experiment, self._scene, self._sensed, changes)
         return self._film.picture(iteration)
 
     def files(self) -> list[dict[str, Any]]:

@@ -38,7 +38,7 @@ class Plan:
         self.books = {m.name: Codebook(self.variables, m.inputs, m.outputs) for m in self.brain.model}
         self.notes = (self.variables["note"].indices or 0) if "note" in self.variables else 0
         self.schedule = _schedule(experiment)
-        self.policy: Policy | None = None if self.schedule is None else self.schedule.policy
+        self.policy = _policy(experiment)
         self.languages: dict[str, Language] = {}
         for phase in () if self.schedule is None else self.schedule.phases:
             if phase.teacher is not None and phase.language is not None:
@@ -116,6 +116,13 @@ class Plan:
         return {name: points[:, column] for column, name in enumerate(self.actuators)}
 
 
+def _policy(experiment: Experiment) -> Policy | None:
+    try:
+        return experiment.policy()
+    except (MdbError, ValueError):
+        return None
+
+
 def _schedule(experiment: Experiment) -> Schedule | None:
     if experiment.teacher is None:
         return None
@@ -137,4 +144,6 @@ def numbers(values: NDArray[Any], digits: int = 3) -> Any:
     rounded = np.round(np.asarray(values, np.float64), digits)
     if np.isfinite(rounded).all():
         return rounded.tolist()
-    return np.where(np.isfinite(rounded), rounded.astype(object), None).tolist()
+    known = rounded.astype(object)
+    known[~np.isfinite(rounded)] = None
+    return known.tolist()

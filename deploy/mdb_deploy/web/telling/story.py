@@ -239,7 +239,12 @@ class Story:
         for event in self.heard.contexts:
             if event.stored is None:
                 continue
-            entry = {"model": event.model, "stored": event.stored, "iteration": event.iteration, "uses": 0}
+            entry: dict[str, Any] = {
+                "model": event.model,
+                "stored": event.stored,
+                "iteration": event.iteration,
+                "uses": 0,
+            }
             entry = shelf.setdefault((event.model, event.stored), entry)
             entry["uses"] += event.kind == "recalled"
         return list(shelf.values())

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 from mdb_deploy.web.telling.parts import picture_part
@@ -33,10 +34,11 @@ class Film:
         self,
         experiment: Experiment,
         scene: Callable[[int], Scene | None],
+        sensed: Callable[[int], Reading | None],
         changes: Sequence[tuple[int, dict[str, Any]]],
     ) -> None:
-        """`scene`: the log's, by the number of actions done. `changes`: of the body, before which action."""
-        self._experiment, self._scene = experiment, scene
+        """`scene`, `sensed`: the log's, by the number of actions done; `changes`: of the body, after so many."""
+        self._experiment, self._scene, self._sensed = experiment, scene, sensed
         self._changes = sorted(changes, key=lambda change: change[0])
         self._body: Body | None = None
         self._reading: Reading = {}
@@ -68,7 +70,8 @@ class Film:
         assert self._body is not None
         while self._done < iteration:
             self._act(self._done)
-        picture = picture_of(self._body, self._reading, iteration)
+        sensed = self._sensed(iteration)  # another body's sensors have other noise
+        picture = picture_of(self._body, self._reading if sensed is None else sensed, iteration)
         if picture.drawing is None and picture.image is None:
             raise BodyError("this body has neither a drawing nor an image")
         return picture_part(picture)
@@ -121,7 +124,8 @@ class Film:
 
     def _change(self, settings: dict[str, Any]) -> None:
         if isinstance(self._body, Changeable):
-            self._body.change(**settings)
+            with suppress(BodyError):  # refused here, refused there
+                self._body.change(**settings)
 
     def _another(self) -> Body:
         """Make the run's body anew; MdbError or BodyError tells why there is none."""

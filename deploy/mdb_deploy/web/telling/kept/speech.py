@@ -8,6 +8,7 @@ from mdb_deploy.web.telling.plan import Plan
 from mdb_protocol.messages import IterationReport, Lesson, Phase, Scene
 from mdb_sim.teaching import policy as policies
 from mdb_sim.teaching.languages import Language
+from mdb_sim.teaching.policies.plain import Named
 
 MOST_PHASES = 1000
 MOST_LESSONS = 32
@@ -75,7 +76,7 @@ class Speech:
 
     def obeyed(self, report: IterationReport, scene: Scene | None) -> bool | None:
         """Return whether what the note of an iteration meant was done before the scene; None: that is not known."""
-        if report.note is None or scene is None or self._plan.policy is None:
+        if report.note is None or scene is None or self._plan.policy is None or isinstance(self._plan.policy, Named):
             return None
         command = self.command(report.teacher, report.note, report.iteration)
         return None if command is None else policies.done(self._plan.policy, command, scene)
