@@ -34,7 +34,10 @@ export function modelColour(hello, model) {
 
 /** Red, green and blue of a colour, 0 to 255. */
 export function rgb(name) {
-  return colour(name).match(/[\d.]+/g).slice(0, 3).map(Number);
+  return colour(name)
+    .match(/[\d.]+/g)
+    .slice(0, 3)
+    .map(Number);
 }
 
 /** The same colour, seen through. */
@@ -101,10 +104,13 @@ export function painter(element, paint, restMs = 0) {
     dirty = true;
     ask();
   };
-  new IntersectionObserver((entries) => {
-    seen = entries[entries.length - 1].isIntersecting;
-    ask();
-  }, { rootMargin: "80px" }).observe(element);
+  new IntersectionObserver(
+    (entries) => {
+      seen = entries[entries.length - 1].isIntersecting;
+      ask();
+    },
+    { rootMargin: "80px" },
+  ).observe(element);
   repaints.add(touch);
   return touch;
 }
@@ -158,10 +164,13 @@ export function teller(element) {
 
 /** A panel's heading and the one sentence that says what it shows. `aside`: what stands at the right. */
 export function head(root, title, sentence, ...aside) {
-  const made = el("div", { class: "head" },
+  const made = el(
+    "div",
+    { class: "head" },
     el("h2", { id: `${root.id}-title` }, title),
     aside.length > 0 ? el("div", { class: "aside" }, ...aside) : null,
-    el("p", { class: "plain" }, sentence));
+    el("p", { class: "plain" }, sentence),
+  );
   root.append(made);
   return made;
 }
@@ -223,9 +232,14 @@ export function named(name) {
  * Returns [{name, part: number or null}].
  */
 export function columns(names, count) {
-  const wide = Math.max(0, names.findIndex((name) => name === "note" || name.endsWith(".note")));
+  const wide = Math.max(
+    0,
+    names.findIndex((name) => name === "note" || name.endsWith(".note")),
+  );
   const parts = count - names.length + 1;
-  return names.flatMap((name, i) => (i === wide && parts > 1
-    ? Array.from({ length: parts }, (_, part) => ({ name: named(name), part }))
-    : [{ name: named(name), part: null }]));
+  return names.flatMap((name, i) =>
+    i === wide && parts > 1
+      ? Array.from({ length: parts }, (_, part) => ({ name: named(name), part }))
+      : [{ name: named(name), part: null }],
+  );
 }

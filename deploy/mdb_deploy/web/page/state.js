@@ -16,7 +16,17 @@ const OURS = ["you", "connection", "mode", "said"];
 /** Parts that come as changes, by name, to what was sent before. */
 const BY_NAME = ["models", "memory"];
 const ROW_COLUMNS = [
-  "iteration", "mode", "explored", "note", "choice", "feedback", "predicted", "event", "success", "obeyed", "teacher",
+  "iteration",
+  "mode",
+  "explored",
+  "note",
+  "choice",
+  "feedback",
+  "predicted",
+  "event",
+  "success",
+  "obeyed",
+  "teacher",
 ];
 
 const stores = { live: emptyStore(), past: emptyStore() };
@@ -176,8 +186,23 @@ function take(text) {
 /** A `hello` with all its fields: before there is a brain the server has nothing to say in most of them. */
 function whole(hello) {
   return {
-    brain: "", run: "", live: false, choices: [], actuators: {}, commands: [], order: [], notes: 0, scale_hz: [],
-    ear: false, models: [], modes: [], phases: [], languages: {}, successes: [], changes: [], patience_s: [null, null],
+    brain: "",
+    run: "",
+    live: false,
+    choices: [],
+    actuators: {},
+    commands: [],
+    order: [],
+    notes: 0,
+    scale_hz: [],
+    ear: false,
+    models: [],
+    modes: [],
+    phases: [],
+    languages: {},
+    successes: [],
+    changes: [],
+    patience_s: [null, null],
     action_s: null,
     ...hello,
     experiment: { name: "", iterations: 0, pace: "", seed: 0, words: "", ...hello.experiment },

@@ -14,6 +14,12 @@ const WORDS = {
   alone: (who) => (who === null ? "Nobody tells it what to do." : `By what it learnt from ${who}.`),
   waits: () => "Nothing was decided yet.",
 };
+/** What is waited for, when it is the visitor's turn. */
+const TURNS = {
+  play: "Play a note.",
+  judge: "Say how good the last action was.",
+  both: "Play a note, and say how good the last action was.",
+};
 /** Paths of 24 by 24: an ear, a compass, a head start, a pause. */
 const SIGNS = {
   obeys: "M4 9v6h4l5 4V5L8 9zM16.5 8.5a5 5 0 0 1 0 7M19 6a9 9 0 0 1 0 12",
@@ -34,8 +40,12 @@ export function start(root, { state, on, showLive }) {
   const sign = path(SIGNS.waits);
   const headline = el("strong", {}, "Waiting");
   const words = el("span", {}, "Nothing was decided yet.");
-  const badge = el("div", { class: "badge", id: "badge", "data-kind": "waits", role: "status" },
-    picture(sign), el("div", {}, headline, words));
+  const badge = el(
+    "div",
+    { class: "badge", id: "badge", "data-kind": "waits", role: "status" },
+    picture(sign),
+    el("div", {}, headline, words),
+  );
   const run = el("p", {}, "");
   const count = el("strong", {}, "–");
   const of = el("span", {}, "");
@@ -45,12 +55,17 @@ export function start(root, { state, on, showLive }) {
   const phases = el("ol", { class: "phases", "aria-label": "Phases of the run" });
   const trouble = el("p", { class: "trouble", role: "alert", hidden: true });
   root.append(
-    el("div", { class: "name" },
+    el(
+      "div",
+      { class: "name" },
       el("img", { src: "/page/icon.svg", alt: "", width: 32, height: 32 }),
-      el("div", {}, el("h1", {}, "Multilevel Darwinist Brain"), run)),
+      el("div", {}, el("h1", {}, "Multilevel Darwinist Brain"), run),
+    ),
     badge,
     el("div", { class: "state" }, past, el("p", { class: "count", id: "iteration" }, count, of), link, theme),
-    phases, trouble);
+    phases,
+    trouble,
+  );
 
   const renew = () => {
     const { kind, title, text } = told(state);
@@ -117,8 +132,19 @@ export function told(state) {
   let title = HEADLINES[kind](teacher ?? "a teacher");
   let text = own(thought?.badge_words, you?.name) || WORDS[kind](teacher);
   // The headline need not be said twice.
-  if (text.toLowerCase().startsWith(title.toLowerCase())) text = capital(text.slice(title.length).replace(/^[\s,.:]+/, ""));
+  if (text.toLowerCase().startsWith(title.toLowerCase())) {
+    text = capital(text.slice(title.length).replace(/^[\s,.:]+/, ""));
+  }
   if (text === "" || /^(explores|waits|obeys \S+)$/i.test(text)) text = WORDS[kind](teacher ?? "a teacher");
+  if (
+    kind === "waits" &&
+    mode === "live" &&
+    !control?.paused &&
+    you?.name &&
+    Object.hasOwn(TURNS, you.turn?.kind ?? "")
+  ) {
+    return { kind, title: "Waiting for you", text: TURNS[you.turn.kind] };
+  }
   if (mode === "past") title = `Past run · ${title}`;
   else if (finished) title = `The run is over · ${title}`;
   else if (control?.paused) title = `Paused · ${title}`;
@@ -146,12 +172,23 @@ function capital(text) {
 function build(phases, hello) {
   const total = hello.experiment.iterations;
   const all = hello.phases.length > 0 ? hello.phases : [{ start: 0, name: hello.experiment.name, teacher: null }];
-  phases.replaceChildren(...all.map((phase) => {
-    const words = phase.teacher && !phase.name.includes(phase.teacher) ? `${phase.name} · ${phase.teacher}` : phase.name;
-    const made = el("li", { title: `${words}, from iteration ${phase.start}`, "data-start": phase.start,
-      "data-taught": phase.teacher ? "yes" : "no" }, el("i"), el("span", {}, words));
-    return made;
-  }));
+  phases.replaceChildren(
+    ...all.map((phase) => {
+      const unnamed = phase.teacher && !phase.name.includes(phase.teacher);
+      const words = unnamed ? `${phase.name} · ${phase.teacher}` : phase.name;
+      const made = el(
+        "li",
+        {
+          title: `${words}, from iteration ${phase.start}`,
+          "data-start": phase.start,
+          "data-taught": phase.teacher ? "yes" : "no",
+        },
+        el("i"),
+        el("span", {}, words),
+      );
+      return made;
+    }),
+  );
   spread(phases, total);
 }
 
@@ -203,7 +240,14 @@ function themeButton() {
 }
 
 function path(d) {
-  return svg("path", { d, fill: "none", stroke: "currentColor", "stroke-width": 1.8, "stroke-linecap": "round", "stroke-linejoin": "round" });
+  return svg("path", {
+    d,
+    fill: "none",
+    stroke: "currentColor",
+    "stroke-width": 1.8,
+    "stroke-linecap": "round",
+    "stroke-linejoin": "round",
+  });
 }
 
 function picture(drawn) {

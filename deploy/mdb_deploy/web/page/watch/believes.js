@@ -8,18 +8,26 @@ const SMALLEST = 0.3;
 export function start(root, { state, on }) {
   const box = el("input", { type: "checkbox", id: "show-meanings" });
   box.checked = kept.get("meanings") === "yes";
-  head(root, "What it believes the notes mean",
-    "Each cell is the feedback that it predicts for an action after a note. A full cell is well known, a small one is a guess.",
-    el("label", { class: "check" }, box, "Show what the notes mean"));
+  head(
+    root,
+    "What it believes the notes mean",
+    "Each cell is the feedback that it predicts for an action after a note. A full cell is well known, a small one " +
+      "is a guess.",
+    el("label", { class: "check" }, box, "Show what the notes mean"),
+  );
   const empty = el("p", { class: "empty" });
   const body = el("tbody");
   const heads = el("thead");
-  const table = el("table", { class: "beliefs", id: "beliefs", "aria-label": "Predicted feedback for each note and action" }, heads, body);
+  const table = el(
+    "table",
+    { class: "beliefs", id: "beliefs", "aria-label": "Predicted feedback for each note and action" },
+    heads,
+    body,
+  );
   const told = el("p", { class: "tell", id: "belief" });
   const yours = el("li", {}, el("i", { class: "outlined" }), el("span", {}, "what you mean"));
   const theirs = el("li", {}, el("i", { class: "outlined dashed" }), el("span", {}));
-  const key = el("ul", { class: "key" },
-    el("li", {}, "bad", el("i", { class: "ramp" }), "good"), yours, theirs);
+  const key = el("ul", { class: "key" }, el("li", {}, "bad", el("i", { class: "ramp" }), "good"), yours, theirs);
   const scroll = el("div", { class: "scroll" }, table);
   root.append(empty, scroll, told, key);
 
@@ -30,19 +38,34 @@ export function start(root, { state, on }) {
 
   const build = (beliefs) => {
     const { middles, around } = shortened(beliefs.actions);
-    heads.replaceChildren(el("tr", {}, el("td", {}, around), ...middles.map((name) => el("th", { scope: "col" }, name))));
-    cells = beliefs.notes.map((note, i) => beliefs.actions.map((_, j) => {
-      const square = el("i");
-      const number = el("span");
-      const cell = el("td", {
-        tabindex: i === 0 && j === 0 ? "0" : "-1",
-        mouseenter: () => point([i, j]), mouseleave: () => point(null), focus: () => point([i, j]), blur: () => point(null),
-      }, square, number);
-      return { cell, square, number };
-    }));
+    heads.replaceChildren(
+      el("tr", {}, el("td", {}, around), ...middles.map((name) => el("th", { scope: "col" }, name))),
+    );
+    cells = beliefs.notes.map((note, i) =>
+      beliefs.actions.map((_, j) => {
+        const square = el("i");
+        const number = el("span");
+        const cell = el(
+          "td",
+          {
+            tabindex: i === 0 && j === 0 ? "0" : "-1",
+            mouseenter: () => point([i, j]),
+            mouseleave: () => point(null),
+            focus: () => point([i, j]),
+            blur: () => point(null),
+          },
+          square,
+          number,
+        );
+        return { cell, square, number };
+      }),
+    );
     focus = [0, 0];
-    body.replaceChildren(...beliefs.notes.map((note, i) =>
-      el("tr", {}, el("th", { scope: "row" }, noteName(note)), ...cells[i].map((one) => one.cell))));
+    body.replaceChildren(
+      ...beliefs.notes.map((note, i) =>
+        el("tr", {}, el("th", { scope: "row" }, noteName(note)), ...cells[i].map((one) => one.cell)),
+      ),
+    );
   };
   const point = (place) => {
     pointed = place;
@@ -74,7 +97,12 @@ export function start(root, { state, on }) {
     show(empty, none);
     for (const part of [scroll, told, key]) show(part, !none);
     if (none) {
-      say(empty, hello && hello.notes === 0 ? "This machine hears no notes: its teacher only judges." : "Nothing was learnt about the notes yet.");
+      say(
+        empty,
+        hello && hello.notes === 0
+          ? "This machine hears no notes: its teacher only judges."
+          : "Nothing was learnt about the notes yet.",
+      );
       return;
     }
     const now = JSON.stringify([beliefs.notes, beliefs.actions]);
@@ -105,7 +133,9 @@ export function start(root, { state, on }) {
     if (pointed !== null && cells[pointed[0]]?.[pointed[1]]) {
       const [i, j] = pointed;
       const support = Math.round(100 * (beliefs.support?.[i]?.[j] ?? 1));
-      say(told, `After ${noteName(beliefs.notes[i])}, “${beliefs.actions[j]}”: predicted feedback ${signed(beliefs.feedback[i][j])}, known to ${support} %.`);
+      const value = signed(beliefs.feedback[i][j]);
+      const what = `After ${noteName(beliefs.notes[i])}, “${beliefs.actions[j]}”`;
+      say(told, `${what}: predicted feedback ${value}, known to ${support} %.`);
     } else {
       say(told, "Point at a cell, or go there with Tab and the arrow keys, to read its number.");
     }
@@ -129,7 +159,12 @@ function shortened(names) {
   let last = 0;
   while (names.length > 1 && last < fewest - 1 - first && alike(-1 - last)) last += 1;
   return {
-    middles: words.map((one) => one.slice(first, one.length - last).join(" ").replace("-", "\u2212")),
+    middles: words.map((one) =>
+      one
+        .slice(first, one.length - last)
+        .join(" ")
+        .replace("-", "\u2212"),
+    ),
     around: [...words[0].slice(0, first), ...(last > 0 ? [`(${words[0].slice(-last).join(" ")})`] : [])].join(" "),
   };
 }

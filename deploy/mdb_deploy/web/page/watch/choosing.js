@@ -14,18 +14,30 @@ export function start(root, { state, on }) {
   const bars = el("ol", { class: "bars", id: "bars", "aria-label": "Predicted satisfaction of every action" });
   const low = el("span", {}, "\u2212 bad");
   const high = el("span", {}, "good +");
-  const axis = el("div", { class: "axis", "aria-hidden": "true" },
-    el("span"), el("div", {}, low, el("span", {}, "0"), high), el("span"));
+  const axis = el(
+    "div",
+    { class: "axis", "aria-hidden": "true" },
+    el("span"),
+    el("div", {}, low, el("span", {}, "0"), high),
+    el("span"),
+  );
   const promised = el("strong", { id: "promised" }, "–");
   const came = el("strong", { id: "came" }, "–");
   const cameOf = el("span", {}, "What came");
   const promisedOf = el("span", {}, "It predicted");
-  const outcome = el("div", { class: "outcome", id: "outcome" },
-    el("div", {}, promisedOf, promised), el("span", { class: "arrow", "aria-hidden": "true" }, "→"),
-    el("div", {}, cameOf, came));
+  const outcome = el(
+    "div",
+    { class: "outcome", id: "outcome" },
+    el("div", {}, promisedOf, promised),
+    el("span", { class: "arrow", "aria-hidden": "true" }, "→"),
+    el("div", {}, cameOf, came),
+  );
   const why = el("p", { class: "why", id: "why" });
-  const key = el("p", { class: "key" },
-    el("span", {}, "Strong colour: many pairs in its memory are like this. Faint: it only guesses."));
+  const key = el(
+    "p",
+    { class: "key" },
+    el("span", {}, "Strong colour: many pairs in its memory are like this. Faint: it only guesses."),
+  );
   const empty = el("p", { class: "empty" }, "It has not chosen anything yet.");
   const chart = el("div", { class: "bar-chart" }, bars, axis);
   root.append(empty, situation, chart, key, outcome, why);
@@ -47,13 +59,20 @@ export function start(root, { state, on }) {
     }
     show(chart, actions.length > 0);
     show(key, actions.length > 0);
-    const most = Math.max(1, ...actions.map((one) => Math.abs(one.satisfaction ?? 0)), Math.abs(thought.came?.feedback ?? 0));
+    const most = Math.max(
+      1,
+      ...actions.map((one) => Math.abs(one.satisfaction ?? 0)),
+      Math.abs(thought.came?.feedback ?? 0),
+    );
     for (const [i, one] of actions.entries()) fill(made[i], one, most, thought);
     tellSituation(situation, thought, state.you);
     const done = outcomeOf(thought, state.rows);
     tellNumber(promised, done.predicted);
     tellNumber(came, done.feedback, done.waits ? "…" : "no feedback");
-    say(promisedOf, done.iteration === thought.iteration ? "It predicted" : `Iteration ${done.iteration}: it predicted`);
+    say(
+      promisedOf,
+      done.iteration === thought.iteration ? "It predicted" : `Iteration ${done.iteration}: it predicted`,
+    );
     const told = done.event && done.event !== "none" && done.event !== "nothing";
     say(cameOf, told ? `What came: ${named(done.event)}` : "What came");
     say(why, own(thought.why, state.you?.name));
@@ -69,17 +88,23 @@ function outcomeOf(thought, rows) {
   const now = { iteration: thought.iteration, predicted: thought.predicted ?? null };
   if (thought.came) return { ...now, ...thought.came, waits: false };
   const last = rows.iteration.length - 1;
-  if (last < 0 || rows.iteration[last] !== thought.iteration - 1) return { ...now, feedback: null, event: null, waits: true };
+  if (last < 0 || rows.iteration[last] !== thought.iteration - 1)
+    return { ...now, feedback: null, event: null, waits: true };
   return {
-    iteration: rows.iteration[last], predicted: rows.predicted[last], feedback: rows.feedback[last],
-    event: rows.event[last], waits: false,
+    iteration: rows.iteration[last],
+    predicted: rows.predicted[last],
+    feedback: rows.feedback[last],
+    event: rows.event[last],
+    waits: false,
   };
 }
 
 /** The name of an action, or its values where it has none. */
 function label(action) {
   if (action.name) return action.name;
-  return Object.entries(action.values ?? {}).map(([name, value]) => `${named(name)} ${short(value)}`).join(", ");
+  return Object.entries(action.values ?? {})
+    .map(([name, value]) => `${named(name)} ${short(value)}`)
+    .join(", ");
 }
 
 function row(action) {
@@ -87,9 +112,14 @@ function row(action) {
   const mark = el("b", { hidden: true, title: "What came" });
   const number = el("span", { class: "number" });
   const words = el("span", { class: "unseen" });
-  const item = el("li", {},
+  const item = el(
+    "li",
+    {},
     el("span", { class: "label", title: label(action) }, label(action)),
-    el("span", { class: "track", "aria-hidden": "true" }, bar, mark), number, words);
+    el("span", { class: "track", "aria-hidden": "true" }, bar, mark),
+    number,
+    words,
+  );
   return { item, bar, mark, number, words };
 }
 

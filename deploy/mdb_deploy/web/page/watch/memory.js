@@ -1,6 +1,23 @@
 // The memories: each model's short-term memory as a field of pairs, and the shelf of the long-term memory.
 
-import { canvasIn, choices, colour, columns, diverging, el, faint, head, modelColour, named, painter, say, show, short, signed, teller } from "../draw.js";
+import {
+  canvasIn,
+  choices,
+  colour,
+  columns,
+  diverging,
+  el,
+  faint,
+  head,
+  modelColour,
+  named,
+  painter,
+  say,
+  show,
+  short,
+  signed,
+  teller,
+} from "../draw.js";
 
 const MOST_SLOTS = 400;
 const MOST_MOMENTS = 40;
@@ -9,7 +26,8 @@ const HEIGHT = 132;
 const KINDS = {
   changed: (model) => `${model}: the world is another one now. What was learnt before may be wrong.`,
   known: (model) => `${model}: the new situation is learnt.`,
-  stored: (model, stored, again) => `${model}: stored in the long-term memory as number ${stored}${again ? ", in the place of the older one" : ""}.`,
+  stored: (model, stored, again) =>
+    `${model}: stored in the long-term memory as number ${stored}${again ? ", in the place of the older one" : ""}.`,
   recalled: (model, stored) => `${model}: number ${stored} fits again, and acts at once.`,
 };
 
@@ -20,8 +38,12 @@ export function start(root, { state, on }) {
     pointed = null;
     touch();
   });
-  head(root, "What it remembers",
-    "Each square is an action-perception pair in the short-term memory. Blue was good, orange was bad; the older the fainter.");
+  head(
+    root,
+    "What it remembers",
+    "Each square is an action-perception pair in the short-term memory. Blue was good, orange was bad; the older " +
+      "the fainter.",
+  );
   const used = el("p", { class: "tell", id: "memory-used" });
   const box = el("div", { class: "drawn slots", tabindex: "0", id: "slots" });
   box.style.height = `${HEIGHT}px`;
@@ -29,11 +51,25 @@ export function start(root, { state, on }) {
   const which = el("p", { class: "tell" });
   const empty = el("p", { class: "empty" }, "No pair is in a memory yet.");
   const shelf = el("ul", { class: "shelf", id: "shelf", "aria-label": "Models in the long-term memory" });
-  const bare = el("p", { class: "empty" }, "Nothing is stored yet. A model is stored when its world changes, and comes back when it fits again.");
-  const moments = el("ol", { class: "moments", id: "moments", tabindex: "0", "aria-label": "Moments of change, storing and recall" });
-  root.append(el("div", { class: "memories" },
-    el("div", {}, el("h3", {}, "Short-term memory"), pick.box, empty, used, box, which, pair),
-    el("div", {}, el("h3", {}, "Long-term memory"), bare, shelf, moments)));
+  const bare = el(
+    "p",
+    { class: "empty" },
+    "Nothing is stored yet. A model is stored when its world changes, and comes back when it fits again.",
+  );
+  const moments = el("ol", {
+    class: "moments",
+    id: "moments",
+    tabindex: "0",
+    "aria-label": "Moments of change, storing and recall",
+  });
+  root.append(
+    el(
+      "div",
+      { class: "memories" },
+      el("div", {}, el("h3", {}, "Short-term memory"), pick.box, empty, used, box, which, pair),
+      el("div", {}, el("h3", {}, "Long-term memory"), bare, shelf, moments),
+    ),
+  );
   const tell = teller(box);
   tell("No pairs yet.");
 
@@ -41,7 +77,9 @@ export function start(root, { state, on }) {
   let cells = [];
   const { context, fresh } = canvasIn(box, () => touch());
   const paint = () => {
-    const names = (state.hello?.models ?? []).map((one) => one.name).filter((name) => state.memory?.[name] !== undefined);
+    const names = (state.hello?.models ?? [])
+      .map((one) => one.name)
+      .filter((name) => state.memory?.[name] !== undefined);
     if (!names.includes(model)) model = names[0] ?? null;
     pick.set(names, model);
     const memory = state.memory?.[model];
@@ -55,10 +93,16 @@ export function start(root, { state, on }) {
     drawSlots(context, cells, pairs, pointed, state.hello, model);
     const newest = youngest(pairs);
     const shown = pairs[pointed ?? -1] ?? newest;
-    const oldest = pairs.reduce((old, one) => (old === null || (one.age ?? 0) > (old.age ?? 0) ? one : old), null);
+    const oldest = pairs.reduce((old, one) => (old === null || (one.age ?? -1) > (old.age ?? -1) ? one : old), null);
     const kind = shown === newest ? "The newest pair" : shown === oldest ? "The oldest pair" : "A pair";
-    say(which, shown ? `${kind}${Number.isFinite(shown.age) ? `, ${shown.age} ${shown.age === 1 ? "iteration" : "iterations"} old` : ""}, as the network reads it (numbers from \u22121 to 1):` : "");
-    tellPair(pair, shown, state.hello?.models.find((one) => one.name === model));
+    const age = `${shown?.age} ${shown?.age === 1 ? "iteration" : "iterations"} old`;
+    const since = Number.isFinite(shown?.age) ? age : "recalled with its model";
+    say(which, shown ? `${kind}, ${since}, as the network reads it (numbers from \u22121 to 1):` : "");
+    tellPair(
+      pair,
+      shown,
+      state.hello?.models.find((one) => one.name === model),
+    );
     tell(`Short-term memory of ${model}: ${memory.used} of ${memory.capacity} pairs. ${shown ? inWords(pair) : ""}`);
   };
   const touch = painter(root, paint, REST_MS);
@@ -84,36 +128,60 @@ export function start(root, { state, on }) {
     touch();
   });
 
-  const renew = painter(root, () => {
-    const books = state.shelf ?? [];
-    show(bare, books.length === 0);
-    show(shelf, books.length > 0);
-    list(shelf, books.map((one) => JSON.stringify(one)), (text) => book(JSON.parse(text), state.hello));
-    const known = new Set();
-    const all = (state.contexts ?? []).map((one) => {
-      const name = `${one.model} ${one.stored}`;
-      const again = known.has(name);
-      known.add(name);
-      return { ...one, again };
-    }).slice(-MOST_MOMENTS).toReversed();
-    show(moments, all.length > 0);
-    list(moments, all.map((one) => JSON.stringify(one)), (text) => moment(JSON.parse(text)));
-  }, REST_MS);
+  const renew = painter(
+    root,
+    () => {
+      const books = state.shelf ?? [];
+      show(bare, books.length === 0);
+      show(shelf, books.length > 0);
+      list(
+        shelf,
+        books.map((one) => JSON.stringify(one)),
+        (text) => book(JSON.parse(text), state.hello),
+      );
+      const known = new Set();
+      const all = (state.contexts ?? [])
+        .map((one) => {
+          const name = `${one.model} ${one.stored}`;
+          const again = known.has(name);
+          known.add(name);
+          return { ...one, again };
+        })
+        .slice(-MOST_MOMENTS)
+        .toReversed();
+      show(moments, all.length > 0);
+      list(
+        moments,
+        all.map((one) => JSON.stringify(one)),
+        (text) => moment(JSON.parse(text)),
+      );
+    },
+    REST_MS,
+  );
   for (const part of ["shelf", "contexts", "hello"]) on(part, renew);
 }
 
 function book(one, hello) {
   const uses = one.uses ?? 0;
   const words = `${one.model} ${one.stored}, stored at iteration ${one.iteration}, recalled ${uses} times`;
-  const made = el("li", { title: words, "data-used": uses > 0 ? "yes" : "no" },
-    el("b", {}, `${one.model} ${one.stored}`), el("span", {}, uses > 0 ? `from ${one.iteration}, back ${uses}×` : `from ${one.iteration}`));
+  const made = el(
+    "li",
+    { title: words, "data-used": uses > 0 ? "yes" : "no" },
+    el("b", {}, `${one.model} ${one.stored}`),
+    el("span", {}, uses > 0 ? `from ${one.iteration}, back ${uses}×` : `from ${one.iteration}`),
+  );
   made.style.setProperty("--spine", `var(--${modelColour(hello, one.model)})`);
   return made;
 }
 
 function moment(one) {
   const words = KINDS[one.kind] ?? ((model) => `${model}: ${one.kind}`);
-  return el("li", { "data-kind": one.kind }, el("span", { class: "at" }, one.iteration), el("span", {}, words(one.model, one.stored, one.again)));
+  return el(
+    "li",
+    { "data-kind": one.kind },
+    el("span", { class: "at" }, one.iteration),
+    el("span", {}, words(one.model, one.stored, one.again)),
+  );
 }
 
 /** Make a list again only when it is another one. */
@@ -133,7 +201,10 @@ function lay(width, height, capacity, pairs) {
   const columns = Math.max(1, Math.floor(width / size));
   const bySlot = pairs.every((one) => Number.isInteger(one.slot) && one.slot < slots);
   const made = Array.from({ length: slots }, (_, i) => ({
-    x: (i % columns) * size, y: Math.floor(i / columns) * size, size, pair: null,
+    x: (i % columns) * size,
+    y: Math.floor(i / columns) * size,
+    size,
+    pair: null,
   }));
   pairs.forEach((one, i) => (made[bySlot ? one.slot : i].pair = i));
   return made;
@@ -141,7 +212,8 @@ function lay(width, height, capacity, pairs) {
 
 function drawSlots(context, cells, pairs, pointed, hello, model) {
   const value = valuer(hello, model, pairs);
-  const ages = pairs.map((one) => one.age ?? 0);
+  // A pair that was recalled with its model has no age in this run: it is drawn as an old one.
+  const ages = pairs.map((one) => one.age).filter(Number.isFinite);
   const oldest = Math.max(1, ...ages);
   const youngestAge = ages.length > 0 ? Math.min(...ages) : 0;
   for (const { x, y, size, pair } of cells) {
@@ -153,7 +225,7 @@ function drawSlots(context, cells, pairs, pointed, hello, model) {
     }
     const one = pairs[pair];
     const shown = value(one);
-    context.globalAlpha = 1 - 0.72 * ((one.age ?? 0) / oldest);
+    context.globalAlpha = 1 - 0.72 * ((one.age ?? oldest) / oldest);
     context.fillStyle = `rgb(${diverging(shown, "line").join(" ")})`;
     context.fillRect(x, y, inner, inner);
     context.globalAlpha = 1;
@@ -172,7 +244,10 @@ function drawSlots(context, cells, pairs, pointed, hello, model) {
 /** What colours a pair: the feedback among its targets, or else its first target, in the range of the memory. */
 function valuer(hello, model, pairs) {
   const outputs = hello?.models.find((one) => one.name === model)?.outputs ?? [];
-  const place = Math.max(0, outputs.findIndex((name) => name.includes("feedback")));
+  const place = Math.max(
+    0,
+    outputs.findIndex((name) => name.includes("feedback")),
+  );
   const all = pairs.map((one) => values(one.targets)[place] ?? 0);
   if (outputs[place]?.includes("feedback")) {
     const most = Math.max(1, ...all.map(Math.abs));
@@ -187,11 +262,12 @@ function values(told) {
 }
 
 function youngest(pairs) {
-  return pairs.reduce((young, one) => (young === null || (one.age ?? 0) < (young.age ?? 0) ? one : young), null);
+  const age = (one) => one.age ?? Infinity;
+  return pairs.reduce((young, one) => (young === null || age(one) < age(young) ? one : young), null);
 }
 
 function tellPair(box, pair, model) {
-  const entries = pair ? [...told(pair.inputs, model?.inputs, ""), ...told(pair.targets, model?.outputs, "→ ")] : [];
+  const entries = [...told(pair?.inputs, model?.inputs, ""), ...told(pair?.targets, model?.outputs, "→ ")];
   while (box.children.length > entries.length) box.lastChild.remove();
   while (box.children.length < entries.length) box.append(el("div", {}, el("dt", { class: "muted" }), el("dd")));
   for (const [i, [name, value]] of entries.entries()) {
@@ -202,7 +278,8 @@ function tellPair(box, pair, model) {
 
 function told(values, names, sign) {
   if (values === null || values === undefined) return [];
-  if (!Array.isArray(values)) return Object.entries(values).map(([name, value]) => [sign + named(name), number(value)]);
+  if (!Array.isArray(values))
+    return Object.entries(values).map(([name, value]) => [sign + named(name), number(value)]);
   const made = new Map();
   for (const [i, { name, part }] of columns(names ?? ["value"], values.length).entries()) {
     if (part === null) made.set(name, name.includes("feedback") ? signed(values[i]) : number(values[i]));

@@ -1,6 +1,20 @@
 // The networks: each model with its inputs, its hidden units, expressed and silent, its outputs, and its weights.
 
-import { canvasIn, colour, columns, el, faint, head, modelColour, painter, rgb, say, show, short, teller } from "../draw.js";
+import {
+  canvasIn,
+  colour,
+  columns,
+  el,
+  faint,
+  head,
+  modelColour,
+  painter,
+  rgb,
+  say,
+  show,
+  short,
+  teller,
+} from "../draw.js";
 
 const HEIGHT = 230;
 const RADIUS = 5;
@@ -13,8 +27,12 @@ const MOST_UNITS = 60;
 const REST_MS = 400;
 
 export function start(root, { state, on }) {
-  head(root, "The networks that evolve",
-    "Circles are units, lines are weights: blue raises, orange lowers, thick is strong. Faint circles are silent units that a network may express later.");
+  head(
+    root,
+    "The networks that evolve",
+    "Circles are units, lines are weights: blue raises, orange lowers, thick is strong. Faint circles are silent " +
+      "units that a network may express later.",
+  );
   const box = el("div", { class: "nets" });
   const empty = el("p", { class: "empty" }, "No model was learnt yet.");
   root.append(empty, box);
@@ -49,25 +67,47 @@ function network(model, state) {
   swatch.style.background = `var(--${modelColour(state.hello, model.name)})`;
   const drawn = el("div", { class: "drawn" });
   drawn.style.height = `${HEIGHT}px`;
-  const figure = el("figure", { hidden: true }, el("figcaption", {}, el("h3", {}, swatch, `${model.name} · ${model.role} model`), words), drawn);
+  const figure = el(
+    "figure",
+    { hidden: true },
+    el("figcaption", {}, el("h3", {}, swatch, `${model.name} · ${model.role} model`), words),
+    drawn,
+  );
   const tell = teller(drawn);
   tell(`Network of the model ${model.name}`);
   const { context, fresh } = canvasIn(drawn, () => net.touch());
   const net = { figure, shown: null, touch: () => undefined };
-  net.touch = painter(drawn, () => {
-    if (net.shown === null) return;
-    const { width, height } = fresh();
-    const { layers, weights, version, error, generation } = net.shown;
-    const hidden = total(net.shown.expressed ?? layers.slice(1, -1));
-    const silent = total(net.shown.silent ?? 0);
-    if (!weights) {
-      say(words, `error ${short(error)} · ${hidden} units expressed: too many weights to draw.`);
-      return;
-    }
-    say(words, `error ${short(error)} · ${hidden} units expressed, ${silent} silent · generation ${generation ?? version}`);
-    tell(`Network of the model ${model.name}: ${layers[0]} inputs, ${hidden} expressed and ${silent} silent hidden units, ${layers.at(-1)} outputs, error ${short(error)}.`);
-    draw(context, width, height, net.shown, namesOf(model.inputs, layers[0]), namesOf(model.outputs, layers.at(-1)), silent);
-  }, REST_MS);
+  net.touch = painter(
+    drawn,
+    () => {
+      if (net.shown === null) return;
+      const { width, height } = fresh();
+      const { layers, weights, version, error, generation } = net.shown;
+      const hidden = total(net.shown.expressed ?? layers.slice(1, -1));
+      const silent = total(net.shown.silent ?? 0);
+      if (!weights) {
+        say(words, `error ${short(error)} · ${hidden} units expressed: too many weights to draw.`);
+        return;
+      }
+      say(
+        words,
+        `error ${short(error)} · ${hidden} units expressed, ${silent} silent · generation ${generation ?? version}`,
+      );
+      const ends = `${layers[0]} inputs, ${layers.at(-1)} outputs`;
+      const units = `${hidden} expressed and ${silent} silent hidden units`;
+      tell(`Network of the model ${model.name}: ${ends}, ${units}, error ${short(error)}.`);
+      draw(
+        context,
+        width,
+        height,
+        net.shown,
+        namesOf(model.inputs, layers[0]),
+        namesOf(model.outputs, layers.at(-1)),
+        silent,
+      );
+    },
+    REST_MS,
+  );
   return net;
 }
 
@@ -118,7 +158,10 @@ function draw(context, width, height, { layers, weights }, inputs, outputs, sile
 
 /** Of many weights a few are far larger than all others: those of the upper tenth are drawn as the strongest. */
 function strongScale(weights, strong) {
-  const all = weights.flat(2).map(Math.abs).sort((a, b) => a - b);
+  const all = weights
+    .flat(2)
+    .map(Math.abs)
+    .sort((a, b) => a - b);
   return Math.max(all[Math.floor(0.9 * (all.length - 1))] ?? strong, 1e-9);
 }
 
@@ -160,7 +203,9 @@ function write(context, units, names, align, shift, room) {
 
 function cut(context, words, room) {
   let text = words;
-  while (text.length > 3 && context.measureText(text).width > room) text = `${text.slice(0, -2)}…`.replace("……", "…");
+  while (text.length > 3 && context.measureText(text).width > room) {
+    text = `${text.replace("…", "").slice(0, -1)}…`;
+  }
   return text;
 }
 

@@ -1,7 +1,7 @@
 // The scene: any machine's drawing, smooth between perceptions, or its image, or its numbers.
 
 import { calm, canvasIn, colour, el, faint, head, named, painter, say, show, short, teller } from "../draw.js";
-import { between, follow, jumped, match, windowBetween } from "./shapes.js";
+import { between, follow, jumped, match, windowBetween } from "./parts/shapes.js";
 
 /** A movement is shown within the time between two pictures, but within these milliseconds. */
 const SHORTEST_MS = 80;
@@ -14,7 +14,11 @@ const CROSS_PX = 5;
 
 export function start(root, page) {
   const { state, on } = page;
-  head(root, "The robot and its world", "What happens, as a bystander sees it. The robot itself knows only what it senses.");
+  head(
+    root,
+    "The robot and its world",
+    "What happens, as a bystander sees it. The robot itself knows only what it senses.",
+  );
   const box = el("div", { class: "fill", id: "picture" });
   const flash = el("p", { class: "flash", "aria-hidden": "true" });
   const numbers = el("dl", { class: "facts numbers", hidden: true });
@@ -23,7 +27,18 @@ export function start(root, page) {
   const tell = teller(box);
   tell("No picture yet.");
 
-  const view = { before: null, after: null, pairs: [], from: 0, lasts: 0, windowFrom: null, windowTo: null, turned: 0, every: 400, came: 0 };
+  const view = {
+    before: null,
+    after: null,
+    pairs: [],
+    from: 0,
+    lasts: 0,
+    windowFrom: null,
+    windowTo: null,
+    turned: 0,
+    every: 400,
+    came: 0,
+  };
   let image = null;
   let imageOf = null;
   root.append(box, senses);
@@ -70,10 +85,13 @@ export function start(root, page) {
         imageOf = picture.image;
         const next = new Image();
         next.src = picture.image;
-        next.decode().then(() => {
-          image = next;
-          touch();
-        }, () => undefined);
+        next.decode().then(
+          () => {
+            image = next;
+            touch();
+          },
+          () => undefined,
+        );
       }
     } else {
       image = imageOf = null;
@@ -102,7 +120,10 @@ export function start(root, page) {
     const said = `${scene.iteration} ${scene.event}`;
     if (said === flashed || !(scene.success || scene.ended)) return;
     flashed = said;
-    say(flash, scene.ended && !scene.success ? `${named(scene.event)}. A new episode begins` : `${named(scene.event)}!`);
+    say(
+      flash,
+      scene.ended && !scene.success ? `${named(scene.event)}. A new episode begins` : `${named(scene.event)}!`,
+    );
     flash.dataset.good = scene.success ? "yes" : "no";
     flash.dataset.on = "yes";
     clearTimeout(timer);
@@ -127,7 +148,7 @@ function take(view, drawing, mode, aspect) {
   view.lasts = still ? 0 : Math.max(SHORTEST_MS, Math.min(LONGEST_MS, 0.8 * view.every));
   const window = follow(view.windowTo, drawing, aspect || 1);
   if (window !== view.windowTo) {
-    view.windowFrom = mode === "past" ? null : (view.windowNow ?? view.windowTo);
+    view.windowFrom = mode === "past" || still ? null : (view.windowNow ?? view.windowTo);
     view.windowTo = window;
     view.turned = now;
   }
@@ -158,7 +179,14 @@ function grid(context, window, at, width, height, scale) {
   }
 }
 
-const COLOURS = { robot: "ink", thing: "orange", trail: "blue", sensed: "green", wall: "strong-line", ground: "muted" };
+const COLOURS = {
+  robot: "ink",
+  thing: "orange",
+  trail: "blue",
+  sensed: "green",
+  wall: "strong-line",
+  ground: "muted",
+};
 const WIDTHS = { robot: 3, thing: 2.5, trail: 2.5, sensed: 2, wall: 3, ground: 1.2 };
 
 function drawShape(context, shape, at, scale) {
@@ -238,9 +266,13 @@ function number(value) {
 function inWords(state) {
   const { scene, picture } = state;
   if (!scene) return "A picture of the robot and its world.";
-  const places = Object.entries(scene.now).slice(0, 8).map(([name, value]) => `${named(name)} ${short(value)}`).join(", ");
+  const places = Object.entries(scene.now)
+    .slice(0, 8)
+    .map(([name, value]) => `${named(name)} ${short(value)}`)
+    .join(", ");
   const kind = picture?.image ? "Image" : "Drawing";
-  return `${kind} of the robot and its world at iteration ${scene.iteration}. Event: ${named(scene.event)}. ${places}.`;
+  const event = named(scene.event);
+  return `${kind} of the robot and its world at iteration ${scene.iteration}. Event: ${event}. ${places}.`;
 }
 
 function ease(share) {

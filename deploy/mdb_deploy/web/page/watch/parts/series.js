@@ -1,8 +1,8 @@
 // Pure: what the curves show, from the rows.
 
 /**
- * The mean of the last `count` values that are there, at each place; null where none was for `gap` rows, or too few of
- * them, a quarter of `count`, for a mean.
+ * The mean of the last `count` values that are there, at each place; null where none was for `gap` rows, or where
+ * they are fewer than a quarter of `count`.
  */
 export function runningMean(values, count, gap) {
   const held = [];
@@ -28,7 +28,7 @@ export function runningMean(values, count, gap) {
   return made;
 }
 
-/** How often something was in the last `count` rows, as a number for `per` rows: from the first rows on, scaled up. */
+/** How often something was in the last `count` rows; of the first rows, scaled up. */
 export function perRows(values, count) {
   const made = new Array(values.length);
   let sum = 0;

@@ -6,7 +6,8 @@ const STEP = Math.SQRT2;
 const FAR_TOO_WIDE = 2;
 
 /**
- * The window for a drawing, {x, y, span}: the same as long as all that must be seen is in it and it is not far too wide.
+ * The window for a drawing, {x, y, span}: the same as long as all that must be seen is in it and it is not far too
+ * wide.
  * `span` is what is seen along the shorter side; aspect: width by height of where it is drawn.
  */
 export function follow(window, drawing, aspect) {
@@ -33,8 +34,8 @@ export function windowBetween(from, to, share) {
 }
 
 /**
- * Match the shapes of a drawing with those of the one before: the same kind, the same `what`, the same place among these,
- * as many points. A line that got one more point (a trail) is matched as one whose last point moved on.
+ * Match the shapes of a drawing with those of the one before: the same kind, the same `what`, the same place among
+ * these, as many points. A line that got one more point (a trail) is matched as one whose last point moved on.
  * Returns for each new shape the one before it, or null.
  */
 export function match(before, after) {
@@ -63,8 +64,11 @@ export function match(before, after) {
 /** A shape at `share` of the way from `old` (null: there was none) to `shape`. */
 export function between(old, shape, share) {
   if (old === null || share >= 1) return shape;
-  const turned = shape.kind === "line" && shape.points.length > 1 && (shape.what === "robot" || shape.what === "sensed");
-  const points = turned ? chain(old.points, shape.points, share) : shape.points.map((point, i) => mixed(old.points[i], point, share));
+  const turned =
+    shape.kind === "line" && shape.points.length > 1 && (shape.what === "robot" || shape.what === "sensed");
+  const points = turned
+    ? chain(old.points, shape.points, share)
+    : shape.points.map((point, i) => mixed(old.points[i], point, share));
   return { ...shape, points, radius: mix(old.radius ?? 0, shape.radius ?? 0, share) };
 }
 
@@ -72,9 +76,14 @@ export function between(old, shape, share) {
 export function jumped(before, after, pairs) {
   const [left, low, right, high] = before.box;
   const span = Math.hypot(right - left, high - low);
-  const trails = [before, after].map((one) => one.shapes.filter((shape) => shape.what === "trail").reduce((n, s) => n + s.points.length, 0));
+  const trails = [before, after].map((one) =>
+    one.shapes.filter((shape) => shape.what === "trail").reduce((n, s) => n + s.points.length, 0),
+  );
   if (trails[1] < trails[0] && trails[0] - trails[1] > 1) return true;
-  return after.shapes.some((shape, i) => shape.what === "robot" && pairs[i] !== null && distance(pairs[i].points[0], shape.points[0]) > 0.6 * span);
+  return after.shapes.some(
+    (shape, i) =>
+      shape.what === "robot" && pairs[i] !== null && distance(pairs[i].points[0], shape.points[0]) > 0.6 * span,
+  );
 }
 
 // The first point moves straight, each further one is turned about the one before it and so keeps its length: a line
@@ -87,7 +96,10 @@ function chain(from, to, share) {
     const angle = Math.atan2(was[1], was[0]);
     const turn = Math.atan2(Math.sin(Math.atan2(is[1], is[0]) - angle), Math.cos(Math.atan2(is[1], is[0]) - angle));
     const length = mix(Math.hypot(...was), Math.hypot(...is), share);
-    points.push([points[i - 1][0] + length * Math.cos(angle + share * turn), points[i - 1][1] + length * Math.sin(angle + share * turn)]);
+    points.push([
+      points[i - 1][0] + length * Math.cos(angle + share * turn),
+      points[i - 1][1] + length * Math.sin(angle + share * turn),
+    ]);
   }
   return points;
 }
