@@ -115,7 +115,7 @@ class Maker:
         try:
             if found is not None:
                 read(found, self.brain, raw)
-                return row not in (keys.FINISHED, keys.ALIVE)
+                return row not in (keys.FINISHED, keys.ALIVE, keys.CONTROL)
         except DecodeError:
             pass
         self.unreadable[found.path if found is not None else TAPPED] += 1
@@ -259,6 +259,8 @@ READERS = (
     Reads("memory", "store", keys.PAIR),
     Reads("memory", "store", keys.CURRENT_MODEL),
     Reads("evolver", "object", keys.MEMORY_CHANGE),
+    Reads("robot", "body", keys.CONTROL),
+    Reads("teacher", "script", keys.CONTROL),
 )
 LATEST_READERS = (
     Reads("robot", "body", keys.ACTION),
