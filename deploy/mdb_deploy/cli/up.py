@@ -84,7 +84,7 @@ def _up(arguments: argparse.Namespace) -> int:
     path = experiment_path(arguments.experiment) if arguments.resume is None else arguments.resume / EXPERIMENT_FILE
     content = content_of(path, arguments, *(("experiment.pace=lockstep",) if arguments.inline else ()))
     if arguments.no_teacher:
-        content.pop("teacher", None)
+        content.get("teacher", {}).pop("phase", None)  # what can be wanted stays
     experiment = Experiment(content, path)
     experiment.check_machine(elsewhere=arguments.no_robot, gui=arguments.gui)
     section = experiment.brain.experiment

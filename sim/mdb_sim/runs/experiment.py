@@ -24,6 +24,8 @@ from mdb_sim.robot.course import Rules
 from mdb_sim.robot.service import RobotService
 from mdb_sim.robot.state_file import StateFile
 from mdb_sim.runs.machine import differences
+from mdb_sim.teaching.policies.plain import Named
+from mdb_sim.teaching.policy import Policy, make_policy
 from mdb_sim.teaching.schedule import Schedule, TeacherSection, schedule_of
 from mdb_sim.teaching.service import ScriptedTeacher
 from mdb_sim.teaching.sound import Player
@@ -93,7 +95,9 @@ class Experiment:
         self.content = content
         self.brain = brain_config(content, source)
         simulation = convert(content, Simulation, source)
-        self.robot, self.teacher = simulation.robot, simulation.teacher
+        self.robot, self._wants = simulation.robot, simulation.teacher
+        self.teacher = self._wants if self._wants is not None and self._wants.phase else None
+        """The scripted teachers'; None: there are none."""
         self._source = source
         if self.teacher is not None:
             try:
@@ -117,6 +121,15 @@ class Experiment:
         """Where the experiment file lay, if that is known."""
         folder = self.brain.experiment.folder
         return None if folder is None else Path(folder)
+
+    def policy(self) -> Policy | None:
+        """Return what can be wanted of the robot: by `[teacher]`, or else one command a choice; None when that is not
+        known. TeacherError when the policy cannot be had.
+        """
+        if self._wants is not None:
+            return make_policy(self._wants.policy, self._wants.options, self.folder)
+        names = [choice.name for choice in self.brain.choice]
+        return Named(names) if names else None
 
     def schedule(self) -> Schedule:
         """Return the phases; ConfigError when the file has none, TeacherError when its policy cannot be had."""

@@ -91,7 +91,8 @@ class TeacherSection(Section, frozen=True, kw_only=True):
     """"graded": the judgement itself; "binary": 1 for obedience, -1 for all else, much harder to learn from."""
     sound: SoundSection | None = None
     """How the notes sound; without it the teachers name them."""
-    phase: Annotated[tuple[PhaseSection, ...], Meta(min_length=1)]
+    phase: tuple[PhaseSection, ...] = ()
+    """When who teaches; without any, nobody does by himself: then this section says what people can want."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,6 @@ from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.teaching.languages import Language, TeacherError, make_language
-from mdb_sim.teaching.policies.plain import Named
 from mdb_sim.teaching.policy import Policy
 from mdb_sim.teaching.service import ROLE
 
@@ -283,15 +282,13 @@ def policy_of(experiment: Experiment) -> Policy:
 
     MdbError when there is neither.
     """
-    if experiment.teacher is not None:
-        try:
-            return experiment.schedule().policy
-        except ValueError as error:
-            raise MdbError(f"this robot cannot be taught from here: {error}") from error
-    names = [choice.name for choice in experiment.brain.choice]
-    if not names:
+    try:
+        policy = experiment.policy()
+    except ValueError as error:
+        raise MdbError(f"this robot cannot be taught from here: {error}") from error
+    if policy is None:
         raise MdbError("nothing is known of what this robot can be taught: its experiment file has no [teacher]")
-    return Named(names)
+    return policy
 
 
 def language_of(said: list[int] | str, policy: Policy) -> Language:

@@ -79,4 +79,7 @@ class Speech:
         if report.note is None or scene is None or self._plan.policy is None or isinstance(self._plan.policy, Named):
             return None
         command = self.command(report.teacher, report.note, report.iteration)
-        return None if command is None else policies.done(self._plan.policy, command, scene)
+        try:
+            return None if command is None else policies.done(self._plan.policy, command, scene)
+        except Exception:  # a mistake in a policy of somebody's own must not keep all else from those who watch
+            return None
