@@ -269,3 +269,16 @@ def test_rows_are_bounded() -> None:
     gone = m.Pair(iteration=3, before={}, note=2, action={}, after={}, feedback=0.5, versions={})
     assert not rows.judge(gone, known)
     assert not rows.add(report_of(3), None)
+
+
+def test_a_policy_that_fails_keeps_nothing_else_from_being_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    story = Story(paper(), clock=None)
+
+    def fails(*_: object) -> float:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(type(story.plan.policy), "judge", fails)
+    story.take(keys.PHASE, m.Phase(iteration=0, name="first teacher", teacher="one"))
+    story.take(keys.SCENE, scene_of(1, 90.0))
+    story.take(keys.ITERATION, report_of(0, note=3, teacher="one"))
+    assert story.rows(0)["obeyed"] == [None]
