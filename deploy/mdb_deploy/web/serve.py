@@ -12,6 +12,7 @@ import os
 import secrets
 import socket
 import ssl
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,8 +38,10 @@ PORT, PORTS_TRIED = 8787, 50
 """The port, if none is said; when it is taken the next ones are tried."""
 BACKLOG = 256
 MOST_CONNECTIONS = 256
-WRITE_BYTES = 2**18
-"""Waiting to be sent on one connection before its sender waits."""
+WRITE_BYTES = 2**17
+"""Waiting to be sent on one connection, here and in the system each, before its sender waits: what waits gets old."""
+RESET = struct.pack("ii", 1, 0)
+"""Of SO_LINGER: close at once, and drop what was not taken."""
 MESSAGE_BYTES = 2**17
 """Largest message that a browser may send: one second of sound."""
 PING_S = 20.0
@@ -69,13 +72,20 @@ class Sockets(WebSocketsSansIOProtocol):
         """Set the bound, and hand the way to cut it off to the application, in its scope's state."""
         assert isinstance(transport, asyncio.Transport)
         transport.set_write_buffer_limits(high=WRITE_BYTES)
-        self.app_state = {**self.app_state, "abort": transport.abort}
+        self.app_state = {**self.app_state, "abort": self.cut_off}
         super().connection_made(transport)
+
+    def cut_off(self) -> None:
+        """Drop the connection with what it holds, which the system would otherwise keep for who does not take it."""
+        if (link := self.transport.get_extra_info("socket")) is not None:
+            with contextlib.suppress(OSError):
+                link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        self.transport.abort()
 
     def keepalive_timeout(self) -> None:
         """Drop what is not taken as well: otherwise the connection would wait for it."""
         super().keepalive_timeout()
-        self.transport.abort()
+        self.cut_off()
 
 
 class Server(uvicorn.Server):
@@ -122,6 +132,7 @@ def bind(host: str, port: int | None) -> socket.socket:
             raise ConfigError(f"the page cannot be served at {host}: {error}") from error
         try:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WRITE_BYTES)  # its connections have it, too
             listening.bind(address)
             listening.listen(BACKLOG)
         except OSError as error:

@@ -36,6 +36,9 @@ NOTHING_RUNS = {"live": False, "brain": "", "run": ""}
 """The frame `hello` as long as there is no brain."""
 
 
+JOINS = "The console joins the brain."
+
+
 class Beats(Heart):
     """The heart of a thread: it notes when it has beaten, and another thread asks."""
 
@@ -141,6 +144,7 @@ class Bridge:
         if before is not None and (before.brain, before.run) == (found.brain, found.run):
             return
         story = Story(found.experiment)
+        story.trouble(JOINS)  # said first, so that what comes after is another word, whatever a page knows of before
         greeting = hello(found.experiment, found.name, live=True)
         self._story, self._fresh, self.found = story, True, found
         self.fan.begin(greeting, story)
