@@ -198,6 +198,7 @@ class Runner:
             ending.cancel()
             if child.pulse is not None:
                 child.pulse.close()
+                child.pulse = None  # nobody is left to feel it: of one that is stopped the process may still live
 
     def _welcome(self, child: Child, on_ready: Callable[[str], None]) -> None:
         child.ready = True
