@@ -215,7 +215,7 @@ function emptyStore() {
 }
 
 function emptyRows() {
-  const rows = { first: 0, errors: {} };
+  const rows = { errors: {} };
   for (const column of ROW_COLUMNS) rows[column] = [];
   return rows;
 }
@@ -233,20 +233,30 @@ function merge(store, frame) {
   return changed;
 }
 
-/** Put rows at their place: after those that are there, or over them when they are sent again. */
+/**
+ * Put rows at their place, which their iterations tell: after those that are there, or over them when they are sent
+ * again. A server that was started anew knows fewer rows than the page: those from before stay.
+ */
 function mergeRows(rows, news) {
   const count = news.iteration.length;
-  let place = news.from - rows.first;
-  const reset = place < 0 || place > rows.iteration.length;
-  if (reset) {
-    Object.assign(rows, emptyRows(), { first: news.from });
-    place = 0;
-  }
+  if (count === 0) return;
+  const place = firstFrom(rows.iteration, news.iteration[0]);
   for (const column of ROW_COLUMNS) put(rows[column], place, news[column] ?? new Array(count).fill(null));
   for (const name of new Set([...Object.keys(rows.errors), ...Object.keys(news.errors ?? {})])) {
     rows.errors[name] ??= new Array(place).fill(null);
     put(rows.errors[name], place, news.errors?.[name] ?? new Array(count).fill(null));
   }
+}
+
+/** The place of the first of rising numbers that is at least `value`. */
+function firstFrom(numbers, value) {
+  let [low, high] = [0, numbers.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (numbers[middle] < value) low = middle + 1;
+    else high = middle;
+  }
+  return low;
 }
 
 function put(column, place, values) {
