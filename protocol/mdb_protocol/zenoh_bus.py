@@ -278,7 +278,7 @@ class ZenohBus(Bus):
     def check_heard(self) -> None:
         """See `Bus.check_heard`."""
         if self._probe.unheard:
-            raise UnheardError(f"the router at {self._connect} is there, and gives us nothing any more")
+            raise UnheardError(f"the router at {self._connect} is there and does not answer any more")
 
     def token(self, role: str, instance: str) -> Callable[[], None]:
         """See `Bus.token`."""

@@ -142,7 +142,7 @@ class Recorder:
             self._place.check()
         except OSError as error:
             if not self._retry_s:
-                log.error("cannot write the run log; what comes meanwhile is lost to it", reason=str(error))
+                log.error("cannot write the run log; until it can, what is said is not recorded", reason=str(error))
             self._lost += max(self._unflushed, 1)
             self._count -= self._unflushed
             self._unflushed = 0

@@ -168,7 +168,7 @@ def test_a_body_of_another_make_is_found_by_module_and_factory():
         (":Robot", "no body named ':Robot'; expected"),
         ("rover:", "no body named 'rover:'; expected"),
         ("no.such.module:Robot", "importing no.such.module failed: No module named 'no'; install it, put it beside"),
-        ("mdb_sim.bodies.pioneer.twin:Rover", "no callable 'Rover'; mend the name after the colon"),
+        ("mdb_sim.bodies.pioneer.twin:Rover", "no callable 'Rover'; correct the name after the colon"),
         ("mdb_sim.bodies.pioneer.arena:TRAIL", "no callable 'TRAIL'"),
         ("mdb_sim.body:Sensor", r"its factory does not take the options \{\}"),
         ("builtins:object", "gave a object without spec, reset, act, halt, scene, state, restore, close"),

@@ -213,7 +213,7 @@ def test_a_full_disk_costs_what_comes_meanwhile_and_one_segment(
         assert recorder.values()["disk_refuses"] == 0.0
     recorder.close()
     assert [line["event"] for line in lines] == [
-        "cannot write the run log; what comes meanwhile is lost to it", "recording again",
+        "cannot write the run log; until it can, what is said is not recorded", "recording again",
     ]  # fmt: skip
     assert len(list(tmp_path.glob("run*.mcap"))) == 2
     read = [r.message.iteration for r in read_log(tmp_path)]  # type: ignore[attr-defined]

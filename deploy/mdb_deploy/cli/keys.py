@@ -57,7 +57,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     init.set_defaults(command=_init)
     for role in Role:
         _add_user(verbs, role)
-    remove = verbs.add_parser("remove", help="take a teacher or viewer off the access control")
+    remove = verbs.add_parser("remove", help="admit a teacher or viewer no longer")
     remove.add_argument("name", metavar="NAME")
     remove.set_defaults(command=_remove)
     listing = verbs.add_parser("list", help="who is admitted, and until when")

@@ -98,7 +98,7 @@ class Watch:
             return
         elsewhere, robots = shown.iteration > 0, self._robots()
         if elsewhere and not self._elsewhere:
-            log.warning("the robot has acted in an earlier run; start it again: it is awaited", at=shown.iteration)
+            log.warning("the robot has acted in an earlier run; start it again: the run waits", at=shown.iteration)
         if robots > 1 and not self._mixed:
             log.warning("one robot is awaited; stop the others: " + MIXED.format(robots=robots, brain=self._brain))
         self._elsewhere, self._mixed = elsewhere, robots > 1

@@ -192,12 +192,14 @@ class Optimizer:
         A robot that has begun anew, or whose last steps did not come to its disk, takes our count with our action.
         """
         if perception.iteration < self._next:
-            log.warning("the robot is behind; it goes on here", mine=self._next, robot=perception.iteration)
+            log.warning(
+                "the robot counts less; the brain keeps its count", mine=self._next, robot=perception.iteration
+            )
             perception = msgspec.structs.replace(perception, iteration=self._next, done=None)
         if perception.iteration > self._next and self._take_up(perception, now):
             return
         if self._began or self._next not in (0, perception.iteration):
-            log.warning("the robot is elsewhere; going on there", mine=self._next, robot=perception.iteration)
+            log.warning("the robot counts otherwise; its count is taken", mine=self._next, robot=perception.iteration)
         self._next = perception.iteration
         self._enter(Deciding(perception=perception, started_s=now, begun_s=now))
 

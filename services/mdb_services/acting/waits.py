@@ -105,7 +105,7 @@ class Waits:
         if what not in gave_up:
             gave_up.add(what)
             self._in_vain[what] = self._in_vain.get(what, 0) + 1
-            log.warning("waited in vain; going on without", what=what, iteration=iteration, patience_s=patience_s)
+            log.warning("it did not come in time", what=what, iteration=iteration, patience_s=patience_s)
         return False
 
     def values(self) -> dict[str, float]:

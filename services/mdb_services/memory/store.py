@@ -212,7 +212,7 @@ class MemoryStore:
         if self._clock() - self._waiting.since_s < self._patience_s:
             return False
         self._gave_up += 1
-        log.warning("waited in vain for the models of a pair", iteration=pair.iteration, patience_s=self._patience_s)
+        log.warning("models did not come in time", iteration=pair.iteration, patience_s=self._patience_s)
         return True
 
     def _has_models_of(self, pair: messages.Pair) -> bool:

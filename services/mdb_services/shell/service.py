@@ -90,7 +90,7 @@ class Stopper:
 
 
 def _leave() -> None:
-    log.error("closing does not come to an end: this process leaves as it is")
+    log.error("closing takes too long: this process ends without it")
     os._exit(1)
 
 

@@ -103,12 +103,12 @@ def find(name: str, folder: Path | None, what: str, known: Mapping[str, str]) ->
         raise BodyError(_missing_module(what, name, module_name, error)) from error
     except Exception as error:
         raise BodyError(
-            f"{what}={name!r}: importing {module_name} failed: {type(error).__name__}: {error}; mend that module"
+            f"{what}={name!r}: importing {module_name} failed: {type(error).__name__}: {error}; correct that module"
         ) from error
     factory = getattr(module, attribute, None)
     if not callable(factory):
         raise BodyError(
-            f"{what}={name!r}: {module_name} has no callable {attribute!r}; mend the name after the colon"
+            f"{what}={name!r}: {module_name} has no callable {attribute!r}; correct the name after the colon"
         )
     found: Callable[..., Any] = factory
     return found
@@ -136,5 +136,5 @@ def _missing_module(what: str, name: str, module_name: str, error: ModuleNotFoun
         )
     return (
         f"{what}={name!r}: importing {module_name} failed: {error}; install it, put it beside the experiment "
-        "file, or mend the name"
+        "file, or correct the name"
     )

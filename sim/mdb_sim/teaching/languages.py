@@ -28,7 +28,7 @@ class Language:
         if sorted(self.notes) != list(range(len(self.notes))):
             raise TeacherError(
                 f"language {self.name!r} has the notes {self.notes}; expected each of 0 to"
-                f" {len(self.notes) - 1} exactly once, one a command; mend the list"
+                f" {len(self.notes) - 1} exactly once, one a command; correct the list"
             )
 
     def note(self, command: int) -> int:

@@ -35,7 +35,7 @@ class Mode:
     While the best promise is below `aspiration`, something else is tried: what may be better by `curiosity` times
     `sqrt(1 - support)`. A graded reward for one wrong action so tells about its neighbours. Where nothing may be
     better, as where nothing at all is known of a command, it is what was tried longest ago under it, with probability
-    `exploration`, and what promises most otherwise. What cannot be foreseen is not aspired to: the aspiration is less
+    `exploration`, and what promises most otherwise. What cannot be foreseen is not hoped for: the aspiration is less
     by its `shortfall`, the root of the mean squared error beyond `GOOD_ERROR` that the model has over its memory. So
     a teacher who errs is obeyed, and one who does not loses nothing. With `reach`, once all is supported, the
     shortfall, or a little doubt (`choice.DOUBT`), is also the greatest probability with which something is tried

@@ -90,7 +90,7 @@ class PioneerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
             try:
                 msgspec.convert(value, field.type)
             except msgspec.ValidationError as error:
-                raise BodyError(f"robot.options: {field.name}={value!r}: {error}; mend that value") from None
+                raise BodyError(f"robot.options: {field.name}={value!r}: {error}; correct that value") from None
         self._check_order("place_min_m", "place_max_m")
         self._check_order("sonar_min_m", "sonar_max_m")
         needed_m = 2.0 * (self.place_max_m + 2.0 * self.object_radius_m + 0.5)
@@ -103,7 +103,7 @@ class PioneerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     def _check_order(self, low: str, high: str) -> None:
         if getattr(self, low) > getattr(self, high):
             values = f"{low}={getattr(self, low)} exceeds {high}={getattr(self, high)}"
-            raise BodyError(f"robot.options: {values}; expected the lesser first; swap or mend them")
+            raise BodyError(f"robot.options: {values}; expected the lesser first; swap or correct them")
 
 
 class Changes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

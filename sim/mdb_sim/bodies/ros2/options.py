@@ -146,7 +146,7 @@ class Ros2Options(_Section, frozen=True, kw_only=True):
             if farthest > most[drive.does]:
                 raise BodyError(
                     f"robot.options.actuators.{name} goes to {farthest:g} {UNITS[drive.does]}; expected "
-                    f"{most[drive.does]:g} at most; mend its bounds or the limits"
+                    f"{most[drive.does]:g} at most; correct its bounds or the limits"
                 )
         for low, high, what in (
             (*self.object_width_m, "object_width_m"),
