@@ -37,7 +37,8 @@ export function start(root, page) {
   page.openGuide = () => guide.open();
   const toMoment = window.location.hash.includes("run=");
   if (kept.get("guided") === null && !toMoment) {
-    const end = page.on("hello", () => {
+    const end = page.on("hello", (hello) => {
+      if (!hello?.live || page.state.mode !== "live") return; // nothing moves yet: there is nothing to show
       queueMicrotask(() => end());
       // The other panels draw themselves first, so that there is something to point at.
       setTimeout(() => document.querySelector("dialog[open]") ?? guide.open(), 600);

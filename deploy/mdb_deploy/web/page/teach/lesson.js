@@ -101,9 +101,7 @@ export class Lesson {
       el("div", { class: "buttons tools" },
         this._sound,
         button("Language", acts.language, { id: "open-language", "aria-keyshortcuts": "l", title: "What your notes mean (key l)" }),
-        this._silent,
-        button("Leave", acts.leave, { id: "leave", class: "leave", "aria-keyshortcuts": "q", title: "Leave (key q)" }),
-        this._ear, this._auto, this._give),
+        this._silent, this._ear, this._auto, this._give),
       this._hears, exchanges, this._keysHelp());
     this._showExact();
   }
@@ -146,11 +144,15 @@ export class Lesson {
     this._loud.style.width = `${Math.round(100 * Math.min(1, share * 2))}%`;
   }
 
-  /** Renew all. `you`: as the server says; `tools`: what is on, on this side; `control`: as the brain's operator said. */
-  show(hello, you, { control, tools, rights, scripted }) {
+  /**
+   * Renew all. `you`: as the server says. `now`: {tools: what is on, on this side; control: as the operator said;
+   * rights; scripted: whether there is a scripted teacher; random: whether the robot acts at random at first}.
+   */
+  show(hello, you, now) {
+    const { tools } = now;
     const turn = you.turn ?? { kind: "watch", iteration: 0, left_s: null };
     this._showTurn(hello, you, turn);
-    this._showCounts(you, control, rights, scripted);
+    this._showCounts(you, now);
     this._showJudge(hello, you, turn);
     this._showPlay(hello, you, turn);
     this._showMeasures(you);
@@ -162,7 +164,6 @@ export class Lesson {
     press(this._ear, tools.microphone);
     show(this._ear, hello.ear);
     show(this._hears, tools.microphone);
-    say(this._trouble, you.trouble ?? "");
     if (you.notice && you.notice !== this._heldNotice) this.notice(you.notice);
     this._heldNotice = you.notice ?? null;
     this._showHeard(you, tools);
@@ -204,20 +205,21 @@ export class Lesson {
     const share = this._waiting ? 1 : left_ms === null ? 0 : left_ms / this._whole_ms;
     this._bar.style.transform = `scaleX(${Math.min(1, share).toFixed(3)})`;
     this._countdown.classList.toggle("is-waiting", this._waiting);
-    say(this._left, this._waiting ? "it waits for you" : left_ms === null ? "" : `${(left_ms / 1000).toFixed(1)} s`);
+    say(this._left, this._waiting ? "it waits for you" : left_ms === null ? "" : left_ms === 0 ? "it goes on" : `${(left_ms / 1000).toFixed(1)} s`);
   }
 
-  _showCounts(you, control, rights, scripted) {
+  _showCounts(you, { control, rights, scripted, random }) {
     const mine = you.obeyed === you.name;
     const others = (you.others ?? []).filter((each) => each !== you.obeyed && each !== "script");
     const also = others.length ? ` Also here: ${others.join(", ")}.` : "";
-    if (you.obeyed === null || you.obeyed === undefined) {
-      say(this._obeyed, `Nobody is being obeyed yet: play a note.${also}`);
-    } else if (mine) {
-      say(this._obeyed, `You are being obeyed: your notes count.${also}`);
-    } else {
-      say(this._obeyed, `${you.obeyed} is being obeyed. Your notes do not count until ${you.obeyed} is silent or leaves.${also}`);
-    }
+    const other = `“${you.obeyed}”`;
+    const words = you.obeyed === null || you.obeyed === undefined ? "Nobody is being obeyed now: play a note."
+      : !mine ? `${other} is being obeyed. Your notes do not count until ${other} is silent or leaves.`
+        : random ? "Your notes count. At first it acts at random, to see everything once. Then it obeys."
+          : "You are being obeyed: your notes count.";
+    say(this._obeyed, words + also);
+    // The session says the same of who is obeyed; once is enough.
+    say(this._trouble, !mine && you.obeyed && you.trouble?.startsWith(`${you.obeyed} `) ? "" : you.trouble ?? "");
     this._obeyed.classList.toggle("is-good", mine);
     this._obeyed.classList.toggle("is-bad", !mine && Boolean(you.obeyed));
     const on = control?.script !== false;

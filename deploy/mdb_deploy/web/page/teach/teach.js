@@ -39,12 +39,11 @@ class Teach {
       auto: () => this._do({ do: "auto", on: !page.state.you?.auto }),
       microphone: () => this._flipMicrophone(),
       language: () => this._editLanguage(),
-      leave: () => this._leave(),
       changed: () => this._show(),
     });
     this._build(root);
     page.teachByItself = () => this._byItself();
-    for (const part of ["hello", "you", "control", "alive", "mode", "finished"]) page.on(part, () => this._soon());
+    for (const part of ["hello", "you", "control", "alive", "mode", "finished", "thought"]) page.on(part, () => this._soon());
     page.on("connection", (connection) => connection === "lost" && this._return());
     document.addEventListener("keydown", (event) => this._key(event));
     const tick = (now_ms) => {
@@ -75,7 +74,8 @@ class Teach {
       el("label", { for: "teach-language" }, "Your language"), this._language,
       this._takesRow, this._failed, this._come);
     this._left = new Left(this._page, () => this._again(), (on) => this._do({ do: "control", script: on }));
-    root.append(this._title, this._why, this._back, this._left.root, this._form, this._lesson.root);
+    this._leaves = button("Leave", () => this._leave(), { id: "leave", "aria-keyshortcuts": "q", title: "Leave (key q)" });
+    root.append(el("div", { class: "teach-head" }, this._title, this._leaves), this._why, this._back, this._left.root, this._form, this._lesson.root);
   }
 
   _teaches() {
@@ -107,6 +107,7 @@ class Teach {
     show(this._left.root, left);
     show(this._form, whyNot === null && !there && !left);
     show(this._lesson.root, whyNot === null && there);
+    show(this._leaves, there);
     if (whyNot !== null || !this._hello) return;
     const operates = Boolean(this._hello.rights?.operate);
     show(this._takesRow, operates && scripted(state) && state.control?.script !== false);
@@ -114,6 +115,7 @@ class Teach {
     if (there) {
       this._lesson.show(this._hello, you, {
         control: state.control, tools: this._tools, rights: this._hello.rights ?? {}, scripted: scripted(state),
+        random: state.thought?.mode === "random",
       });
     }
   }
