@@ -68,10 +68,10 @@ class Past {
     const list = el("div", { class: "past-list" },
       el("div", { class: "head" }, el("h2", { id: "past-title" }, "Past runs"),
         button("Look again", () => this._list(), { class: "aside", id: "runs-again", title: "Look for runs again" }),
-        el("p", { class: "plain" }, "Open a run to see any moment of it: all panels show that moment.")),
+        el("p", { class: "plain" }, "Open a run to see any moment of it. All panels show that moment.")),
       this._runs, this._none);
 
-    this._heading = el("h3", { id: "past-run", tabindex: -1 });
+    this._heading = el("h3", { id: "past-run" });
     this._line = new TimeLine(el("div"), (iteration) => { this._stop(); this._go(iteration); });
     this._key = el("p", { class: "key time-key" });
     this._where = el("output", { class: "where" });
@@ -82,17 +82,19 @@ class Past {
       () => { this._stop(); by(); }, { "aria-label": label, title: label, class: "square" });
     this._link = button("Copy link to this moment", () => this._copy(), { id: "past-link" });
     this._files = el("div", { class: "files" });
-    this._open = el("div", { class: "past-open", hidden: true },
-      el("div", { class: "head" }, this._heading,
-        button("Back to now", () => this._leave(), { class: "aside primary", id: "past-close" })),
-      this._line.root, this._key,
+    // At the bottom of the window, so that what a moment shows is in sight while it is moved.
+    this._open = el("div", { class: "past-open", role: "group", "aria-labelledby": "past-run", hidden: true },
+      this._line.root,
       el("div", { class: "buttons past-buttons" },
-        step("M6 5v14M19 5L9 12l10 7z", "Phase before", () => this._phase(-1)), step("M16 5L7 12l9 7z", "One iteration back", () => this._go(this._at - 1)),
+        step("M6 5v14M19 5L9 12l10 7z", "Phase before", () => this._phase(-1)),
+        step("M16 5L7 12l9 7z", "One iteration back", () => this._go(this._at - 1)),
         this._play,
-        step("M8 5l9 7-9 7z", "One iteration on", () => this._go(this._at + 1)), step("M18 5v14M5 5l10 7-10 7z", "Next phase", () => this._phase(1)),
-        this._speed, this._where, this._link),
-      this._files);
-    root.append(list, this._said, this._open);
+        step("M8 5l9 7-9 7z", "One iteration on", () => this._go(this._at + 1)),
+        step("M18 5v14M5 5l10 7-10 7z", "Next phase", () => this._phase(1)),
+        this._speed, this._where, this._key, this._link,
+        button("Close", () => this._leave(), { class: "primary", id: "past-close", title: "Close this run and show what is now" })));
+    this._about = el("div", { class: "past-about", hidden: true }, this._heading, this._files);
+    root.append(list, this._said, this._about, this._open);
   }
 
   // ---- the list
@@ -133,19 +135,23 @@ class Past {
       const { hello, rows } = await this._archive.open(name);
       if (asked !== this._asked) return;
       if (!rows.iteration?.length) throw new Error(`The run ${name} has no iteration to show.`);
+      const end = await this._archive.at(name, rows.iteration.at(-1));
+      if (asked !== this._asked) return;
       this._name = name;
       this._hello = hello;
       this._shown = null;
       say(this._said, "");
       this._page.showPast({ hello, rows: { from: rows.iteration[0], ...rows } });
-      this._line.run(hello, rows);
+      this._line.run(hello, rows, end.control?.ended ?? []);
       say(this._heading, `${name}: ${hello.experiment?.name ?? "a run"}, ${rows.iteration.length} iterations`);
       this._keyOf(hello);
       this._showFiles(name);
       show(this._open, true);
+      show(this._about, true);
       for (const made of this._runs.querySelectorAll("button")) press(made, made.dataset.run === name);
       this._go(at ?? this._line.last, { push: !fromAddress });
-      if (!fromAddress) this._heading.focus({ preventScroll: true });
+      window.scrollTo({ top: 0 });
+      if (!fromAddress) this._line.root.focus({ preventScroll: true });
     } catch (error) {
       if (asked !== this._asked) return;
       say(this._said, error.message);
@@ -161,6 +167,7 @@ class Past {
     this._stop();
     this._name = null;
     show(this._open, false);
+    show(this._about, false);
     for (const made of this._runs.querySelectorAll("button")) press(made, false);
     clearTimeout(this._addressTimer);
     this._addressTimer = 0;

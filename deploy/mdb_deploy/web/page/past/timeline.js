@@ -22,12 +22,20 @@ export function stretches(iterations, values) {
   return found;
 }
 
-/** Phases as they are on the line: [{from, to, name, teacher}]. */
-export function phasesOf(hello, last) {
-  const phases = (hello.phases ?? []).filter((each) => each.start <= last);
-  return phases.map((each, place) => ({
-    from: each.start, to: place + 1 < phases.length ? phases[place + 1].start - 1 : last, name: each.name, teacher: each.teacher ?? null,
-  }));
+/**
+ * Phases as they were: [{from, to, name, teacher}]. `ended`: iterations at which a phase was ended early; the next
+ * one begins after it, and all later ones as much earlier.
+ */
+export function phasesOf(hello, last, ended = []) {
+  const phases = (hello.phases ?? []).map((each) => ({ from: each.start, name: each.name, teacher: each.teacher ?? null }));
+  for (const at of [...ended].sort((one, other) => one - other)) {
+    const next = phases.findIndex((each) => each.from > at);
+    if (next < 1) continue;
+    const earlier = phases[next].from - (at + 1);
+    for (const each of phases.slice(next)) each.from -= earlier;
+  }
+  const seen = phases.filter((each) => each.from <= last);
+  return seen.map((each, place) => ({ ...each, to: place + 1 < seen.length ? seen[place + 1].from - 1 : last }));
 }
 
 export class TimeLine {
@@ -50,15 +58,15 @@ export class TimeLine {
     root.addEventListener("keydown", (event) => this._key(event));
   }
 
-  /** Show a run: its `hello` and all its rows. */
-  run(hello, rows) {
+  /** Show a run: its `hello`, all its rows, and the iterations at which phases were ended early. */
+  run(hello, rows, ended) {
     const iterations = rows.iteration ?? [];
     this.first = iterations[0] ?? 0;
     this.last = iterations.at(-1) ?? 0;
     const teachers = stretches(iterations, rows.teacher ?? []);
     const names = [...new Set(teachers.map((each) => each.value).filter((name) => name !== null))];
     this._run = {
-      phases: phasesOf(hello, this.last), teachers, names,
+      phases: phasesOf(hello, this.last, ended), teachers, names,
       successes: iterations.filter((_, place) => rows.success?.[place]),
     };
     this.root.setAttribute("aria-valuemin", this.first);

@@ -21,6 +21,7 @@ export function start(root, page) {
 class Teach {
   constructor(root, page) {
     this._page = page;
+    this._root = root;
     this._me = null; // {name, language} while somebody teaches here
     this._waits = true; // whether the robot waits for this teacher
     this._coming = null; // the name that was asked for, until the server says that it is there
@@ -100,6 +101,7 @@ class Teach {
     if (!there && this._wasThere) this._gone(you);
     this._wasThere = there;
     const whyNot = this._whyNot();
+    this._root.classList.toggle("is-idle", mode === "past" && !there);
     say(this._why, whyNot ?? "");
     show(this._why, whyNot !== null);
     show(this._back, mode === "past" && state.connection === "open" && this._hello?.live);
@@ -179,7 +181,10 @@ class Teach {
     this._me = { name: you.name, language: [...(you.language ?? [])] };
     this._coming = null;
     this._left.clear();
-    queueMicrotask(() => this._lesson.root.focus({ preventScroll: true }));
+    queueMicrotask(() => {
+      this._lesson.root.focus({ preventScroll: true });
+      if (window.matchMedia("(max-width: 719px)").matches) this._root.scrollIntoView();
+    });
   }
 
   async _leave() {

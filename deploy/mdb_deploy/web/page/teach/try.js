@@ -56,6 +56,7 @@ export function start(root, page) {
 class Try {
   constructor(root, page) {
     this._page = page;
+    this._root = root;
     this._changed = {};
     this._run = null;
     this._build(root);
@@ -98,6 +99,7 @@ class Try {
     const why = state.mode === "past" ? "You look at a past run: nothing of it can be changed."
       : !hello?.live ? "No robot runs now."
         : !hello.rights?.operate ? "You watch. To change something, open the link for the operator." : null;
+    this._root.classList.toggle("is-idle", state.mode === "past");
     say(this._why, why ?? "");
     show(this._why, why !== null);
     show(this._parts, why === null);
