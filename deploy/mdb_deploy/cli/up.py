@@ -1,4 +1,4 @@
-"""`mdb up`: an experiment, to its figures."""
+"""`mdb up`: an experiment, and then its figures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NOTHING_DONE = 2
 
 def add(commands: Commands) -> None:
     """Add `up`."""
-    up = commands.add_parser("up", help="run an experiment to its figures", allow_abbrev=False)
+    up = commands.add_parser("up", help="run an experiment, then draw its figures", allow_abbrev=False)
     add_experiment(up)
     up.add_argument("--inline", action="store_true", help="everything in this process, in lockstep")
     up.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder is made (runs)")
@@ -41,10 +41,12 @@ def add(commands: Commands) -> None:
         "--resume", type=Path, metavar="RUN", help="go on with the run in this folder, its experiment included"
     )
     up.add_argument(
-        "--no-teacher", action="store_true", help="no scripted teacher: begin when you have come, 'mdb teach'"
+        "--no-teacher",
+        action="store_true",
+        help="no scripted teacher: it begins when you teach (--web, or mdb teach)",
     )
     up.add_argument(
-        "--no-robot", action="store_true", help="no robot of ours: begin when one has come (mdb keys duties)"
+        "--no-robot", action="store_true", help="no robot of ours: it begins when yours is there (mdb keys duties)"
     )
     up.add_argument("--web", action="store_true", help="with a page: watch and teach it in the browser (extra 'web')")
     up.add_argument("--web-port", type=number(1, 65535), metavar="N", help="the page's port (8787, or the next free)")
