@@ -147,6 +147,7 @@ class Past {
       this._keyOf(hello);
       this._showFiles(name);
       show(this._open, true);
+      this._open.append(this._said); // what goes wrong is told where one looks
       show(this._about, true);
       for (const made of this._runs.querySelectorAll("button")) press(made, made.dataset.run === name);
       this._go(at ?? this._line.last, { push: !fromAddress });
@@ -168,6 +169,7 @@ class Past {
     this._name = null;
     show(this._open, false);
     show(this._about, false);
+    this._about.before(this._said);
     for (const made of this._runs.querySelectorAll("button")) press(made, false);
     clearTimeout(this._addressTimer);
     this._addressTimer = 0;

@@ -12,7 +12,7 @@ import { Sound } from "./audio/sound.js";
 const NAME = /[^A-Za-z0-9_.-]+/g;
 const RETURN_MS = 60000;
 const AGAIN_MS = 1000;
-const LANGUAGES = { random: "random: by chance", ordered: "ordered: from right to left", reversed: "reversed: from left to right" };
+const LANGUAGES = { random: "at random", ordered: "notes in order", reversed: "notes in reverse order" };
 
 export function start(root, page) {
   new Teach(root, page);
@@ -131,6 +131,7 @@ class Teach {
     if (state.mode === "past") return `You look at a past run. Only a robot that runs now can be taught.${still}`;
     if (!hello) return state.connection === "lost" ? "There is no connection to the console." : "No robot runs yet.";
     if (!hello.live) return "No robot runs now. Past runs can be looked at below.";
+    if (state.finished && !state.you?.name) return "The run is over. Below you can look at any moment of it.";
     if (!hello.rights?.teach) return "You watch. To teach, open the link for teachers.";
     if (!hello.notes || !hello.commands?.length) return "This experiment has no notes: nobody teaches this robot.";
     return null;

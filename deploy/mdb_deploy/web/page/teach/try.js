@@ -98,7 +98,8 @@ class Try {
     const hello = state.hello;
     const why = state.mode === "past" ? "You look at a past run: nothing of it can be changed."
       : !hello?.live ? "No robot runs now."
-        : !hello.rights?.operate ? "You watch. To change something, open the link for the operator." : null;
+        : state.finished ? "The run is over."
+          : !hello.rights?.operate ? "You watch. To change something, open the link for the operator." : null;
     this._root.classList.toggle("is-idle", state.mode === "past");
     say(this._why, why ?? "");
     show(this._why, why !== null);
