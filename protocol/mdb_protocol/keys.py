@@ -1,6 +1,6 @@
 """The one table of keys: what each carries, its only writer, its delivery, what a late joiner gets.
 
-No key is spelled anywhere else. The README's table is printed from it (`mdb keys`).
+No key is spelled anywhere else. The table in protocol/README.md is printed from it (`mdb keys`).
 """
 
 from __future__ import annotations
@@ -332,7 +332,7 @@ def find(brain: str, key: str) -> Key | None:
 
 
 def table() -> str:
-    """Return the key table as Markdown, as it stands in the README."""
+    """Return the key table as Markdown, as it stands in protocol/README.md."""
     lines = [
         "| key below `mdb/<brain>/` | payload | at most | only writer | delivery | late joiner | meaning |",
         "|---|---|---|---|---|---|---|",

@@ -77,7 +77,7 @@ class User:
 
 
 def table() -> str:
-    """Return who may do what as Markdown, as it stands in the README."""
+    """Return who may do what as Markdown, as it stands in deploy/README.md."""
     writes, presence = _paths(TEACHER_WRITES), _paths(PRESENCE)
     read = _paths(row for row in TEACHER_READS if "teacher" not in row.parameters)
     read_own = _paths(row for row in (*TEACHER_READS, *TEACHER_WRITES) if "teacher" in row.parameters)
