@@ -175,9 +175,11 @@ export class Lesson {
   }
 
   _showTurn(hello, you, turn) {
-    const mine = you.paused ? "You stay silent. It goes on without you." : TURNS[turn.kind] ?? TURNS.watch;
+    const another = Boolean(you.obeyed) && you.obeyed !== you.name && turn.kind !== "over";
+    const mine = you.paused ? "You stay silent. It goes on without you."
+      : another ? "Watch: somebody else is being obeyed." : TURNS[turn.kind] ?? TURNS.watch;
     say(this._words, mine);
-    this.root.dataset.turn = you.paused ? "watch" : turn.kind;
+    this.root.dataset.turn = you.paused || another ? "watch" : turn.kind;
     const left_s = turn.left_s;
     if (left_s === null || left_s === undefined || you.waits || you.paused) {
       this._until_ms = null;
@@ -192,7 +194,7 @@ export class Lesson {
       }
     }
     this._turn = `${turn.iteration} ${turn.kind}`;
-    this._waiting = Boolean(you.waits) && !you.paused && ["play", "judge", "both"].includes(turn.kind);
+    this._waiting = Boolean(you.waits) && !you.paused && !another && ["play", "judge", "both"].includes(turn.kind);
   }
 
   /** Draw the time that is left; called for each picture of the screen. */
