@@ -5,8 +5,10 @@ The robot and the optimizer are played by hand, so that a test knows what there 
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +17,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import httpx
-from websockets.sync.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection, connect
 
 from mdb_deploy.experiments import experiment_path
 from mdb_deploy.web.guard import Guard
@@ -79,27 +81,32 @@ class Page:
     """One browser, as far as the wire knows it."""
 
     def __init__(self, console: Console, **options: Any) -> None:
-        opened = connect(console.live, max_size=None, open_timeout=BOUND_S, **options)
-        self.socket: ClientConnection = opened.__enter__()
+        self._loop = asyncio.new_event_loop()  # in this thread alone: TLS in two threads at once is not safe
+        opening = connect(console.live, max_size=None, open_timeout=BOUND_S, **options)
+        try:
+            self._socket: ClientConnection = self._loop.run_until_complete(_open(opening))
+        except BaseException:
+            self._loop.close()
+            raise
         self.state: dict[str, Any] = {}
         self.frames = 0
 
     def take(self, bound_s: float = BOUND_S) -> dict[str, Any]:
         """Return the next frame; parts are merged into `state`."""
-        frame: dict[str, Any] = json.loads(self.socket.recv(timeout=bound_s))
+        frame: dict[str, Any] = json.loads(
+            self._loop.run_until_complete(asyncio.wait_for(self._socket.recv(), bound_s))
+        )
         self.frames += 1
         if frame["is"] == "now":
             self.state |= frame
         elif frame["is"] == "hello":
-            self.state = {"you": self.state.get("you"), "hello": frame}
+            self.state = {"you": self.state.get("you", {}), "hello": frame}
         else:
             self.state[frame["is"]] = frame
         return frame
 
     def until(self, condition: Callable[[dict[str, Any]], object], bound_s: float = BOUND_S) -> dict[str, Any]:
         """Take frames until the state is as wanted; return it."""
-        import time
-
         deadline = time.monotonic() + bound_s
         while not condition(self.state):
             assert time.monotonic() < deadline, f"not within {bound_s} s; {str(self.state)[:2000]}"
@@ -112,20 +119,31 @@ class Page:
 
     def say(self, text: str | bytes) -> dict[str, Any]:
         """Send text as it is; return the answer."""
-        self.socket.send(text)
+        self.send(text)
+        deadline = time.monotonic() + BOUND_S
         while (frame := self.take())["is"] != "said":
-            pass
+            assert time.monotonic() < deadline, f"no answer to {text[:200]!r}"
         return frame
+
+    def send(self, text: str | bytes) -> None:
+        """Send text as it is, or sound."""
+        self._loop.run_until_complete(self._socket.send(text))
 
     def close(self) -> None:
         """Close the window."""
-        self.socket.close()
+        self._loop.run_until_complete(self._socket.close())
+        self._loop.close()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+async def _open(opening: Any) -> ClientConnection:
+    found: ClientConnection = await opening
+    return found
 
 
 def scene(iteration: int, **more: Any) -> messages.Scene:
@@ -173,8 +191,6 @@ class Played:
 
     def wait_for(self, inbox: Any, fits: Callable[[Any], bool] = lambda _: True) -> Any:
         """Return the next message of an inbox that fits."""
-        import time
-
         deadline = time.monotonic() + BOUND_S
         while True:
             while (message := inbox.take()) is not None:
@@ -185,8 +201,6 @@ class Played:
 
     def wait_until(self, condition: Callable[[frozenset[str]], bool]) -> None:
         """Wait until those who are alive are as wanted."""
-        import time
-
         deadline = time.monotonic() + BOUND_S
         while not condition(self.bus.alive()):
             assert time.monotonic() < deadline, str(self.bus.alive())
