@@ -81,9 +81,9 @@ def test_the_robot_can_be_paused_made_fast_and_changed(tmp_path: Path, visit: Op
 
 
 def test_a_moment_of_a_past_run_has_a_link(tmp_path: Path, visit: Open) -> None:
-    with console(tmp_path, "robot.body=kinematic", "robot.action_s=0.01", "experiment.iterations=60",
-                 "optimizer.random_iterations=20", "teacher.phase.alone.start=30",
-                 "teacher.phase.second teacher.start=40", "teacher.phase.alone again.start=50") as (brain, address):  # fmt: skip
+    phases = ("alone.start=30", "second teacher.start=40", "alone again.start=50")
+    short = ("robot.action_s=0.01", "experiment.iterations=60", *(f"teacher.phase.{phase}" for phase in phases))
+    with console(tmp_path, *QUICK, *short) as (brain, address):
         name = brain.run.name
         until(lambda: "results:" in brain.output())
         visitor = visit(f"{address}#run={name}&at=25")

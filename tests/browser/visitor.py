@@ -1,4 +1,4 @@
-"""Somebody before the page, who sees what is on it and clicks or types. What he waits for are events, with a bound."""
+"""Somebody before the page, who sees what is on it and clicks or types. He waits for events, with a bound."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from mdb_deploy.experiments import experiment_path
 from mdb_deploy.web.guard import Guard
-from mdb_deploy.web.live.finding import Place
-from mdb_deploy.web.serve import WebOptions, serve
+from mdb_deploy.web.opening import Place, WebOptions
+from mdb_deploy.web.serve import serve
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_protocol.zenoh_sessions import Router

@@ -16,8 +16,7 @@ from websockets.exceptions import InvalidStatus
 
 from mdb_deploy.keys.credentials import KeyFolder
 from mdb_deploy.web.guard import TOKENS_FILE, Guard, RefusedError, Site, tokens_in
-from mdb_deploy.web.live.finding import Place
-from mdb_deploy.web.serve import PORT, WebOptions, bind, check
+from mdb_deploy.web.opening import PORT, Place, WebOptions, bind, check
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.roles import Role
 from mdb_protocol.zenoh_sessions import Router

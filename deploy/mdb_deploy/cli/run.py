@@ -93,8 +93,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def _run_web(arguments: argparse.Namespace, stop: Stopper, heart: Heart) -> int:
     """Serve the page of the brain in the run folder; where its router is, is in that folder if it is not said."""
     from mdb_deploy.cli.web import address_of
-    from mdb_deploy.web.live.finding import Place
-    from mdb_deploy.web.serve import WebOptions, serve
+    from mdb_deploy.web.opening import Place, WebOptions
+    from mdb_deploy.web.serve import serve
 
     if arguments.run is None:
         raise MdbError("mdb run web needs --run FOLDER; 'mdb web' finds the brain itself")

@@ -164,19 +164,18 @@ def _web(arguments: argparse.Namespace, listen: str, run: Path, console: Console
         return None
     arguments.extra = "web"
     from mdb_deploy.running.up import Web
-    from mdb_deploy.web.live.finding import Place
-    from mdb_deploy.web.serve import WebOptions, bind, check, guard_of
+    from mdb_deploy.web.opening import Place, WebOptions, bind, check, guard_of
     from mdb_protocol import endpoints
 
     host = "127.0.0.1" if arguments.keys is None else endpoints.parse(listen).host
     options = WebOptions(Place(keys=arguments.keys), host, arguments.web_port)
     check(options)
-    with bind(host, arguments.web_port) as free:
-        port = free.getsockname()[1]
+    listening = bind(host, arguments.web_port)
+    port = listening.getsockname()[1]
     guard = guard_of(options, port)
 
     def say() -> None:
         for what, link in guard.links():
             console.print(f"{what}: {link}", soft_wrap=True)
 
-    return Web(host, port, run.parent, say, lambda: console.print("the page goes on; Ctrl-C ends it"))
+    return Web(listening, host, port, run.parent, say, lambda: console.print("the page goes on; Ctrl-C ends it"))

@@ -45,8 +45,8 @@ def add(commands: Commands) -> None:
 
 
 def _web(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.web.live.finding import Place
-    from mdb_deploy.web.serve import WebOptions, serve
+    from mdb_deploy.web.opening import Place, WebOptions
+    from mdb_deploy.web.serve import serve
     from mdb_services.shell.heartbeat import CLOSE_S, Heart
     from mdb_services.shell.service import Stopper
 

@@ -40,6 +40,8 @@ class ProcessSpec:
     restarts: bool
     awaits: tuple[str, ...] = ()
     """Roles: not started before somebody of each is alive."""
+    given: tuple[int, ...] = ()
+    """Descriptors that it gets from the runner."""
     needed: bool = True
     """Whether the run ends when it cannot be kept alive, and begins only with it."""
 

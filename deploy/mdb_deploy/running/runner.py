@@ -232,7 +232,7 @@ class Runner:
                     stdout=output,
                     stderr=asyncio.subprocess.STDOUT,
                     env=os.environ | environment | pulse.environment(),
-                    pass_fds=(pulse.child_pipe,),
+                    pass_fds=(pulse.child_pipe, *child.spec.given),
                     start_new_session=True,
                 )
             except BaseException:

@@ -10,6 +10,7 @@ import contextlib
 import fcntl
 import os
 import signal
+import socket
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -44,14 +45,18 @@ POLL_S = 0.05
 STALLED_S = 60.0
 """Without a new iteration for so long, and what the brain waits for a teacher besides, the run is given up."""
 ENDED_BY_USER = 130
-OPENS_S, OPEN_LOOK_S = 60.0, 0.02
-"""Bound on the page's coming, and how often it is looked for."""
 
 
 @dataclass(frozen=True)
 class Web:
-    """The page of a run: where it listens, where past runs are, what to call when it opens, and when it stays."""
+    """The page of a run: its socket, where that listens, where past runs are, what to say of it at first and when the
+    run is over.
 
+    The socket is held here and given to each process that serves the page: nobody else can take the port, and who
+    comes while the page is started again waits a moment.
+    """
+
+    listening: socket.socket
     host: str
     port: int
     runs: Path
@@ -62,20 +67,6 @@ class Web:
     def listen(self) -> str:
         """The place as the console's command line takes it."""
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
-
-    async def opens(self) -> None:
-        """Call `on_open` once the page can be opened; a page that does not come is told of in its log."""
-        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
-        until_s = time.monotonic() + OPENS_S
-        while time.monotonic() < until_s:
-            try:
-                _, writer = await asyncio.open_connection(host, self.port)
-            except OSError:
-                await asyncio.sleep(OPEN_LOOK_S)
-                continue
-            writer.close()
-            self.on_open()
-            return
 
 
 @dataclass(frozen=True)
@@ -187,8 +178,11 @@ def _processes(experiment: Experiment, options: UpOptions) -> tuple[dict[str, Pr
         "MDB_WEB_OPEN": "",
     }
     if options.web is not None:
-        variables |= {"MDB_WEB": options.web.listen, "MDB_RUNS": str(options.web.runs)}
+        given = options.web.listening.fileno()
+        variables |= {"MDB_WEB": options.web.listen, "MDB_RUNS": str(options.web.runs), "MDB_WEB_SOCKET": str(given)}
     specs = for_experiment(read(), experiment, web=options.web is not None)
+    if options.web is not None:
+        specs[WEB] = replace(specs[WEB], given=(given,))
     if options.gui and not options.await_robot:
         specs[ROBOT] = replace(specs[ROBOT], command=(*specs[ROBOT].command, "--gui"))
     if options.await_teacher or options.await_robot:
@@ -219,7 +213,8 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress, on
             watch.join(options.connect)
             write_whole(options.run / ENDPOINT_FILE, options.connect.encode())
         with progress:
-            opening = asyncio.create_task(options.web.opens()) if options.web is not None else None
+            if options.web is not None:
+                options.web.on_open()
             starting = asyncio.create_task(runner.start(progress.ready))
             stopped = asyncio.create_task(stop.wait())
             await asyncio.wait({starting, stopped}, return_when=asyncio.FIRST_COMPLETED)
@@ -229,8 +224,6 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress, on
             else:
                 status = ENDED_BY_USER
                 starting.cancel()
-            if opening is not None:
-                opening.cancel()
         if options.web is not None and status == 0:
             await runner.stop_but(WEB, ROUTER)
             await asyncio.to_thread(on_over)

@@ -9,37 +9,29 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import secrets
 import socket
 import ssl
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 import uvicorn
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from mdb_deploy.web.guard import LOOPBACK, TOKEN_BYTES, Guard, Site, tokens_in
-from mdb_deploy.web.live.bridge import NICE, Bridge
+from mdb_deploy.web.guard import Guard
 from mdb_deploy.web.live.fan import Fan
-from mdb_deploy.web.live.finding import Place
+from mdb_deploy.web.opening import SOCKET_VARIABLE, WRITE_BYTES, WebOptions, bind, certificate_of, check, guard_of
 from mdb_deploy.web.server import Console
-from mdb_protocol.bundle import Bundle
-from mdb_protocol.errors import ConfigError
-from mdb_protocol.roles import Role
 from mdb_services.shell.heartbeat import CLOSE_S, START_S, Heart
+
+if TYPE_CHECKING:
+    from mdb_deploy.web.live.bridge import Bridge
 
 log = structlog.get_logger()
 
-PORT, PORTS_TRIED = 8787, 50
-"""The port, if none is said; when it is taken the next ones are tried."""
-BACKLOG = 256
 MOST_CONNECTIONS = 256
-WRITE_BYTES = 2**17
-"""Waiting to be sent on one connection, here and in the system each, before its sender waits: what waits gets old."""
 RESET = struct.pack("ii", 1, 0)
 """Of SO_LINGER: close at once, and drop what was not taken."""
 MESSAGE_BYTES = 2**17
@@ -47,22 +39,9 @@ MESSAGE_BYTES = 2**17
 PING_S = 20.0
 """So often a browser is asked whether it lives, and so long it may take to answer."""
 CLOSING_S = 1
+NICE = 5
+"""Showing gives way to acting when both want the same core, as learning does."""
 LOOK_S = 0.05
-
-
-@dataclass(frozen=True)
-class WebOptions:
-    """What the command line says of the console."""
-
-    place: Place
-    host: str = "127.0.0.1"
-    port: int | None = None
-    """None: the usual one, or the first of the next ones that is free."""
-    runs: Path | None = None
-    """Where past runs are."""
-    instance: str = "console"
-    open_to_everyone: bool = False
-    """Listen beyond this machine without keys: in a container, whose port is for this machine alone."""
 
 
 class Sockets(WebSocketsSansIOProtocol):
@@ -97,88 +76,6 @@ class Server(uvicorn.Server):
         yield
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches what listens there."""
-    return host in LOOPBACK or host.startswith("127.")
-
-
-def check(options: WebOptions) -> None:
-    """Raise ConfigError when the page may not be served there, or with these keys."""
-    keys = options.place.keys
-    if keys is None and not is_loopback(options.host) and not options.open_to_everyone:
-        raise ConfigError(
-            f"the page at {options.host} could be used by everyone there: listen at 127.0.0.1, or give the key "
-            "folder with --keys ('mdb keys init' makes one)"
-        )
-    if keys is not None and keys.is_file():
-        user = Bundle.read(keys).user
-        if user is None or user.role is Role.TEACHER or not is_loopback(options.host):
-            raise ConfigError(
-                f"{keys} is the bundle of {user or 'nobody who is named'}; the page needs the key folder, or, to be "
-                "seen from this machine alone, the bundle of a viewer or an operator"
-            )
-
-
-def bind(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens; ConfigError when that cannot be. Without a port the next free one is taken."""
-    last: OSError | None = None
-    for tried in range(PORT, PORT + PORTS_TRIED) if port is None else (port,):
-        try:
-            family, kind, proto, _, address = socket.getaddrinfo(
-                host or None, tried, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-            )[0]
-            listening = socket.socket(family, kind, proto)
-        except (OSError, UnicodeError) as error:
-            raise ConfigError(f"the page cannot be served at {host}: {error}") from error
-        try:
-            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WRITE_BYTES)  # its connections have it, too
-            listening.bind(address)
-            listening.listen(BACKLOG)
-        except OSError as error:
-            listening.close()
-            last = error
-            continue
-        return listening
-    ports = f"ports {PORT} to {PORT + PORTS_TRIED - 1}" if port is None else f"port {port}"
-    why = last.strerror if last is not None else "none is free"
-    raise ConfigError(
-        f"the page cannot be served at {host}, {ports}: {why}; give another with --web-port or --listen"
-    )
-
-
-def guard_of(options: WebOptions, port: int) -> Guard:
-    """Return who may use the page at this port; the tokens are made if there are none."""
-    keys = options.place.keys
-    hosts = {*LOOPBACK, options.host.lower()} - {"0.0.0.0", "::", ""}
-    if keys is None:
-        return Guard(Site(options.host, port), frozenset(hosts))
-    if keys.is_dir():
-        from mdb_deploy.keys.credentials import KeyFolder
-
-        named = KeyFolder(keys).hosts()
-        hosts |= {host.lower() for host in named}
-        anywhere = options.host in ("0.0.0.0", "::")
-        known_as = next((host for host in reversed(named) if host not in LOOPBACK), None) if anywhere else None
-        return Guard(Site(options.host, port, encrypted=True), frozenset(hosts), tokens_in(keys), known_as)
-    user = Bundle.read(keys).user
-    roles = ("viewer", "operator") if user is not None and user.role is Role.OPERATOR else ("viewer",)
-    tokens = {role: secrets.token_urlsafe(TOKEN_BYTES) for role in roles}
-    return Guard(Site(options.host, port), frozenset(hosts), tokens)
-
-
-def _certificate(options: WebOptions) -> ssl.SSLContext | None:
-    keys = options.place.keys
-    if keys is None or not keys.is_dir():
-        return None
-    from mdb_deploy.keys.credentials import KeyFolder
-
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    context.load_cert_chain(KeyFolder(keys).page_certificate(options.host))
-    return context
-
-
 def serve(
     options: WebOptions,
     stop: Callable[[], bool],
@@ -187,15 +84,14 @@ def serve(
 ) -> None:
     """Serve the page until told to stop; ConfigError when it cannot be. `on_open`: called once it can be opened."""
     check(options)
-    listening = bind(options.host, options.port)
-    with listening:
+    given = os.environ.pop(SOCKET_VARIABLE, "")  # by `mdb up`, which keeps the port while this process is dead
+    with socket.socket(fileno=int(given)) if given else bind(options.host, options.port) as listening:
         guard = guard_of(options, listening.getsockname()[1])
-        context = _certificate(options)
+        context = certificate_of(options)
         fan = Fan()
-        bridge = Bridge(options.place, options.instance, fan)
-        console = Console(guard, fan, bridge, options.runs, options.place.keys)
-        server = Server(_config(console, context))
-        asyncio.run(_Serving(server, console, bridge, stop, heart).run(listening, lambda: on_open(guard)))
+        console = Console(guard, fan, options.runs)
+        serving = _Serving(options, Server(_config(console, context)), console, fan, stop, heart)
+        asyncio.run(serving.run(listening, lambda: on_open(guard)))
 
 
 def _config(console: Console, context: ssl.SSLContext | None) -> uvicorn.Config:
@@ -227,9 +123,10 @@ def _config(console: Console, context: ssl.SSLContext | None) -> uvicorn.Config:
 class _Serving:
     """A server, and all that goes on beside it."""
 
+    options: WebOptions
     server: Server
     console: Console
-    bridge: Bridge
+    fan: Fan
     stop: Callable[[], bool]
     heart: Heart
 
@@ -242,18 +139,36 @@ class _Serving:
                 await asyncio.sleep(0.005)
             on_open()
             log.info("the page can be opened", at=self.console.guard.site.address())
-            self.bridge.start()
-            os.nice(NICE)  # now, so that the page is there soon, however busy the machine is as a brain starts
             self.heart.ready()
-            telling = asyncio.create_task(self.console.tell())
-            while not (self.stop() or serving.done()):
-                if self.bridge.beats.goes_on() and not telling.done():
-                    self.heart.beat()
-                await asyncio.sleep(LOOK_S)
-            telling.cancel()
+            await self._go_on(serving)
         finally:
             self.heart.beat(CLOSE_S)
             await self.console.close()
             self.server.should_exit = True
-            await asyncio.to_thread(self.bridge.stop)
             await serving
+
+    async def _go_on(self, serving: asyncio.Task[None]) -> None:
+        """Look for the brain, which the page did not have to wait for, and go on until told to stop."""
+        bridge = await asyncio.to_thread(self._bridge)
+        bridge.start()
+        os.nice(NICE)  # from now on: before, a brain that starts beside it would keep the page from being there soon
+        telling = asyncio.create_task(self.console.tell())
+        try:
+            while not (self.stop() or serving.done()):
+                if bridge.beats.goes_on() and not telling.done():
+                    self.heart.beat()
+                await asyncio.sleep(LOOK_S)
+        finally:
+            self.heart.beat(CLOSE_S)
+            telling.cancel()
+            await self.console.leave()
+            await asyncio.to_thread(bridge.stop)
+
+    def _bridge(self) -> Bridge:
+        """Make what joins the brain; only now is imported what that needs."""
+        from mdb_deploy.web.live.bridge import Bridge
+        from mdb_deploy.web.live.guests import Guests
+
+        bridge = Bridge(self.options.place, self.options.instance, self.fan)
+        self.console.attach(bridge, Guests(self.options.place.keys), self.options.place.keys)
+        return bridge

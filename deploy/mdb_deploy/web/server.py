@@ -8,7 +8,7 @@ import secrets
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
 import msgspec
@@ -21,14 +21,17 @@ from starlette.websockets import WebSocket
 
 from mdb_deploy.web.guard import Guard, RefusedError, Rights
 from mdb_deploy.web.live import orders
-from mdb_deploy.web.live.bridge import Bridge
 from mdb_deploy.web.live.fan import Fan
-from mdb_deploy.web.live.guests import Guests
-from mdb_deploy.web.live.operator import Operator
 from mdb_deploy.web.live.visitor import Visitor
 from mdb_deploy.web.runs import BusyError, NoRunError, PastRuns
 from mdb_protocol.errors import MdbError
 from mdb_protocol.words import shown
+
+if TYPE_CHECKING:
+    from mdb_deploy.web.live.bridge import Bridge
+    from mdb_deploy.web.live.finding import Found
+    from mdb_deploy.web.live.guests import Guests
+    from mdb_deploy.web.live.operator import Operator
 
 log = structlog.get_logger()
 
@@ -55,15 +58,15 @@ NOT_FOUND = "there is nothing of this name here"
 class Console:
     """The application, `app`, and who is there."""
 
-    def __init__(self, guard: Guard, fan: Fan, bridge: Bridge, runs: Path | None, credentials: Path | None) -> None:
-        """`runs`: the folder of past runs; `credentials`: what teachers and operator show to the router."""
-        self.guard, self._fan, self._bridge = guard, fan, bridge
+    def __init__(self, guard: Guard, fan: Fan, runs: Path | None) -> None:
+        """`runs`: the folder of past runs."""
+        self.guard, self._fan = guard, fan
         self._past = PastRuns(runs)
-        self._guests = Guests(credentials)
-        self._credentials = credentials
+        self._bridge: Bridge | None = None
+        self._guests: Guests | None = None
         self._operator: Operator | None = None
+        self._credentials: Path | None = None
         self._another = threading.Event()
-        bridge.on_found = self._another.set
         self._visitors: set[Visitor] = set()
         self._files: dict[str, tuple[tuple[int, int], bytes, str]] = {}
         routes = [
@@ -79,6 +82,14 @@ class Console:
             WebSocketRoute("/live", self._live),
         ]
         self._inner = Starlette(routes=routes)
+
+    def attach(self, bridge: Bridge, guests: Guests, credentials: Path | None) -> None:
+        """Take what joins the brain, which is there a moment later than the page; before the bridge starts.
+
+        `credentials`: what the operator shows to the router.
+        """
+        self._bridge, self._guests, self._credentials = bridge, guests, credentials
+        bridge.on_found = self._another.set
 
     async def app(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let in who may come in, and say of each answer what its page may do."""
@@ -210,11 +221,13 @@ class Console:
         self._visitors.add(visitor)  # before anything is waited for: the bound holds
         try:
             await socket.accept()
-            self._guests.back(visitor)
+            if self._guests is not None:
+                self._guests.back(visitor)
             await visitor.stay(lambda text: self._order(visitor, text), lambda sound: self._sound(visitor, sound))
         finally:
             self._visitors.discard(visitor)
-            self._guests.gone(visitor)
+            if self._guests is not None:
+                self._guests.gone(visitor)
 
     async def _order(self, visitor: Visitor, text: str) -> None:
         """Do what a page asks for, and answer, whatever happens."""
@@ -230,28 +243,36 @@ class Console:
             visitor.answer(what, words, ok=True)
 
     async def _do(self, visitor: Visitor, order: orders.ALL) -> str:
-        found, hub = self._bridge.found, self._bridge.hub
         _check_rights(visitor.may, order)
-        if isinstance(order, orders.Leave):
-            return await self._guests.leave(visitor)
-        if found is None or hub is None:
+        bridge, guests = self._bridge, self._guests
+        found, hub = (bridge.found, bridge.hub) if bridge is not None else (None, None)
+        if guests is not None and isinstance(order, orders.Leave):
+            return await guests.leave(visitor)
+        if guests is None or found is None or hub is None:
             raise MdbError("no brain is there now; wait until it is")
         if isinstance(order, orders.Join):
-            return await self._guests.join(visitor, order, found)
+            return await guests.join(visitor, order, found)
         if isinstance(order, orders.TEACHING):
-            return self._guests.obey(visitor, order)
-        if self._operator is None:
-            self._operator = Operator(found, self._credentials)
-        operator = self._operator
+            return guests.obey(visitor, order)
+        operator = self._operate(found)
         if isinstance(order, orders.ChangeRobot):
             return await asyncio.to_thread(operator.change, order.settings)
         await asyncio.to_thread(operator.control, order, lambda: hub.control, hub.iteration)
         return "done"
 
+    def _operate(self, found: Found) -> Operator:
+        from mdb_deploy.web.live.operator import Operator
+
+        if self._operator is None:
+            self._operator = Operator(found, self._credentials)
+        return self._operator
+
     def _sound(self, visitor: Visitor, samples: bytes) -> None:
         try:
             if not visitor.may.teach:
                 raise MdbError("this link lets you watch; for this you need the teacher's link")
+            if self._guests is None:
+                raise MdbError("no brain is there now; wait until it is")
             self._guests.sound(visitor, samples)
         except MdbError as error:
             visitor.answer("microphone", str(error), ok=False)
@@ -260,28 +281,29 @@ class Console:
 
     async def tell(self) -> None:
         """Tell those who teach of their lessons, until cancelled."""
+        assert self._guests is not None, "attached before"
+        for visitor in self._visitors:
+            self._guests.back(visitor)
         while True:
             try:
                 if self._another.is_set():
                     self._another.clear()
-                    await self._begin_again()
+                    await self.leave("another run is shown now")
                 self._guests.tick()
             except Exception:
                 log.exception("telling of lessons failed")
             await asyncio.sleep(TICK_S)
 
-    async def _begin_again(self) -> None:
-        """Another brain or run is shown: the lessons in the one before are over."""
-        await self._guests.close("another run is shown now")
+    async def leave(self, why: str = "the console ends") -> None:
+        """End all lessons, and leave the router."""
+        if self._guests is not None:
+            await self._guests.close(why)
         operator, self._operator = self._operator, None
         if operator is not None:
             await asyncio.to_thread(operator.close)
 
     async def close(self) -> None:
-        """End all lessons, and let go of what is open."""
-        await self._guests.close("the console ends")
-        if self._operator is not None:
-            await asyncio.to_thread(self._operator.close)
+        """Let go of what is open."""
         self._past.close()
 
 

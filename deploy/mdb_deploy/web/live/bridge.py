@@ -14,8 +14,9 @@ from collections.abc import Callable
 import structlog
 
 from mdb_deploy.web.live.fan import Fan, Waiting
-from mdb_deploy.web.live.finding import BRAIN, Found, NotYetError, Place, find, run_of
+from mdb_deploy.web.live.finding import BRAIN, Found, NotYetError, find, run_of
 from mdb_deploy.web.live.hub import FRAME_S, Hub
+from mdb_deploy.web.opening import Place
 from mdb_deploy.web.telling.hello import hello
 from mdb_deploy.web.telling.story import Story
 from mdb_protocol.errors import MdbError
@@ -30,12 +31,11 @@ AGAIN_S = 0.2
 JOIN_S = 2.0
 """Bound on joining a router."""
 NICE = 5
+"""Showing gives way to acting when both want the same core, as learning does."""
 CLOSE_S = 5.0
 """Bound on the thread's own end."""
 NOTHING_RUNS = {"live": False, "brain": "", "run": ""}
 """The frame `hello` as long as there is no brain."""
-
-
 JOINS = "The console joins the brain."
 
 

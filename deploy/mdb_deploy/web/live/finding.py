@@ -11,6 +11,7 @@ from pathlib import Path
 
 from mdb_deploy.running.processes import ENDPOINT_FILE
 from mdb_deploy.running.status import NOBODY
+from mdb_deploy.web.opening import Place
 from mdb_protocol import files, keys
 from mdb_protocol.bundle import brains_of
 from mdb_protocol.bus import Bus
@@ -30,17 +31,6 @@ MOST_BYTES = 4096
 
 class NotYetError(MdbError):
     """There is nothing to show yet; the text says what is waited for."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """What the command line says of the brain; None: it is to be found."""
-
-    connect: str | None = None
-    run: Path | None = None
-    experiment: Path | None = None
-    brain: str | None = None
-    keys: Path | None = None
 
 
 @dataclass(frozen=True)

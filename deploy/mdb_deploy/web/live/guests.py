@@ -153,7 +153,8 @@ class Guests:
             if guest.visitor is None and guest.owner == visitor.browser:
                 self._sit(guest, visitor)
                 return
-        visitor.tell({"is": "you", "name": None})
+        if not self._is_teaching(visitor):
+            visitor.tell({"is": "you", "name": None})
 
     def gone(self, visitor: Visitor) -> None:
         """A browser is gone; perhaps it comes back."""
