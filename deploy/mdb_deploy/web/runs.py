@@ -17,8 +17,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from mdb_protocol.errors import MdbError
-from mdb_services.experiment.brain import EXPERIMENT_FILE
-from mdb_services.recorder import LOG_PATTERN
 
 T = TypeVar("T")
 
@@ -88,15 +86,16 @@ class PastRuns:
         if self._base is not None and NAME.fullmatch(name):
             base = self._base.resolve()
             folder = base / name
-            if not folder.is_symlink() and folder.is_dir() and next(folder.glob(LOG_PATTERN), None) is not None:
+            if not folder.is_symlink() and folder.is_dir() and _log_of(folder) is not None:
                 return folder
         raise NoRunError(f"there is no run of this name in {self._base or 'any folder'}")
 
     def _run(self, name: str) -> Any:
         from mdb_deploy.web.telling.past import PastRun
+        from mdb_services.recorder import segments_of
 
         folder = self._folder(name)
-        size = sum(path.stat().st_size for path in folder.glob(LOG_PATTERN))
+        size = sum(path.stat().st_size for path in segments_of(folder))
         kept = self._open.pop(name, None)
         if kept is not None and kept[0] != size:  # it goes on
             kept[1].close()
@@ -115,13 +114,14 @@ class PastRuns:
         for folder in self._base.iterdir():
             if not NAME.fullmatch(folder.name) or folder.is_symlink() or not folder.is_dir():
                 continue
-            if (log := next(folder.glob(LOG_PATTERN), None)) is not None:
+            if (log := _log_of(folder)) is not None:
                 folders.append((log.stat().st_mtime, folder))
         folders.sort(key=lambda each: each[0], reverse=True)
         return [self._row(folder, when_s) for when_s, folder in folders[:MOST_RUNS]]
 
     def _row(self, folder: Path, when_s: float) -> dict[str, Any]:
         """Return what is listed of a run; of an experiment file that cannot be read nothing is known."""
+        from mdb_services.experiment.brain import EXPERIMENT_FILE
         from mdb_services.experiment.reading import read_file
 
         said: dict[str, Any] = {}
@@ -141,3 +141,10 @@ class PastRuns:
     def close(self) -> None:
         """Free what is open; what is asked meanwhile is not waited for."""
         self._thread.shutdown(wait=False, cancel_futures=True)
+
+
+def _log_of(folder: Path) -> Path | None:
+    """Return the newest file of a run's log, which is imported only when it is asked for; None without one."""
+    from mdb_services.recorder import segments_of
+
+    return next(reversed(segments_of(folder)), None)
