@@ -13,9 +13,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from mdb_deploy.web.live.hub import ROUTER_GONE
+from mdb_deploy.web.opening import Place, WebOptions
 from mdb_protocol import keys
 from tests.integration.brain import Brain, until
-from tests.web.rig import BOUND_S, Page
+from tests.web.rig import BOUND_S, Console, Page
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
@@ -114,6 +115,21 @@ def test_a_router_that_is_killed_is_told_of_and_the_page_goes_on(served: Served)
         router.kill()
         page.until(lambda state: state.get("trouble") == ROUTER_GONE)
         page.until(lambda state: iteration(state) > before + 5 and state.get("trouble") is None, 60.0)
+
+
+def test_mdb_web_finds_the_brain_and_what_was_before(served: Served, tmp_path: Path) -> None:
+    with served.page() as page:
+        page.until(lambda state: iteration(state) > 40, 60.0)
+    endpoint = (served.brain.run / "router.endpoint").read_text()
+    found = WebOptions(Place(endpoint), port=0, instance="page-1", runs=tmp_path)
+    elsewhere = Place(endpoint, experiment=served.brain.run / "experiment.toml")
+    with Console(found) as console, Page(console) as page:
+        state = page.until(lambda state: "rows" in state and "memory" in state)
+        assert state["hello"]["run"] == served.brain.run.name
+        assert state["rows"]["iteration"][0] == 0, "from the run's log"
+    with Console(WebOptions(elsewhere, port=0, instance="page-2")) as console, Page(console) as page:
+        state = page.until(lambda state: len(state.get("memory") or ()) and len(state.get("models") or ()))
+        assert state["memory"]["communication"]["used"] > 20, "asked of the memory store"
 
 
 def test_ten_browsers_and_one_that_is_stopped(served: Served) -> None:

@@ -36,6 +36,7 @@ CLOSE_S = 5.0
 """Bound on the thread's own end."""
 NOTHING_RUNS = {"live": False, "brain": "", "run": ""}
 """The frame `hello` as long as there is no brain."""
+MEMORY = "memory/store"
 JOINS = "The console joins the brain."
 
 
@@ -126,9 +127,9 @@ class Bridge:
         try:
             self._begin(found)
             self.hub = hub = Hub(bus, self._instance, self._story, self.fan)
-            if self._fresh and found.run is not None:
-                hub.catch_up(found.run, lambda: self.beats.beat(START_S))
-            self._fresh = False
+            if self._fresh:
+                self._catch_up(hub, found)
+                self._fresh = False
         except BaseException:
             bus.close()
             raise
@@ -137,6 +138,13 @@ class Bridge:
         finally:
             self.hub = None
         return "the brain is looked for"
+
+    def _catch_up(self, hub: Hub, found: Found) -> None:
+        """Tell the story what was before we came."""
+        if found.run is not None:
+            hub.catch_up(found.run, lambda: self.beats.beat(START_S))
+        if MEMORY in hub.bus.alive():
+            hub.ask_for_what_was(model.name for model in found.experiment.brain.model)
 
     def _begin(self, found: Found) -> None:
         """Tell of this brain, unless it is the one that was told of before."""

@@ -8,7 +8,7 @@ for those who watch: a token of ours says so, as long as a browser is there.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from mdb_deploy.web.live.finding import BRAIN
 from mdb_deploy.web.telling.story import Story
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
-from mdb_protocol.errors import BusError, MdbError
+from mdb_protocol.errors import BusError, MdbError, QueryError
 from mdb_services.recorder import read_log
 
 ROLE, VIEWER = "web", "viewer"
@@ -27,6 +27,8 @@ SHARE = 0.25
 """Of one processor, what telling takes at most: after a frame that took long the next one comes later."""
 LOOK_S = 0.25
 """So often it is looked whether the router is there, and whether the story has become another with time."""
+ANSWER_S = 1.0
+"""Bound on the memory store's answers."""
 HEARD = (
     keys.SCENE, keys.PERCEPTION, keys.PICTURE, keys.ACTION, keys.ITERATION, keys.CURRENT_MODEL, keys.PHASE,
     keys.LESSON, keys.CONTEXT, keys.COMMAND, keys.FEEDBACK, keys.MEMORY_CHANGE, keys.PAIR, keys.CONTROL, keys.TIMING,
@@ -66,6 +68,14 @@ class Hub:
                 self._take(recorded.row, recorded.message)
                 if count % 100 == 0:
                     beat()
+
+    def ask_for_what_was(self, models: Iterable[str]) -> None:
+        """Ask the memory store for what models and memories are, where there is no log to read it in."""
+        for model in models:
+            for row in (keys.MEMORY_SNAPSHOT, keys.KEPT_MODEL):
+                with suppress(QueryError):  # it is not there, or has nothing yet
+                    for answer in self.bus.query(row, ANSWER_S, model=model):
+                        self._take(row, answer)
 
     def due_in_s(self) -> float:
         """See `Timed`."""
