@@ -24,7 +24,9 @@ ROLE, VIEWER = "web", "viewer"
 FRAME_S = 0.05
 """The least time from one frame to the next: 20 a second."""
 SHARE = 0.25
-"""Of one processor, what telling takes at most: after a frame that took long the next one comes later."""
+"""Of one processor, what telling takes at most: where frames take long, they come more seldom."""
+COST_MEAN = 10
+"""Frames in the running mean of what one takes: a large part now and then does not hold up those after it."""
 LOOK_S = 0.25
 """So often it is looked whether the router is there, and whether the story has become another with time."""
 ANSWER_S = 1.0
@@ -51,7 +53,7 @@ class Hub:
         self._inboxes = [(row, bus.subscriber(row)) for row in HEARD]
         self._unwatch: Callable[[], None] | None = None
         self._alive: frozenset[str] = frozenset()
-        self._frame_s = self._look_s = 0.0
+        self._frame_s = self._look_s = self._cost_s = 0.0
         self._new = True
         self._frames = 0
         self.iteration = 0
@@ -96,7 +98,8 @@ class Hub:
         if self._fan.watched and now_s >= self._frame_s and (self._new or self._fan.needs):
             self._new = False
             self._frames += self._fan.send()
-            self._frame_s = now_s + max(FRAME_S, (time.monotonic() - now_s) / SHARE)
+            self._cost_s += (time.monotonic() - now_s - self._cost_s) / COST_MEAN
+            self._frame_s = now_s + max(FRAME_S, self._cost_s / SHARE)
         return moved
 
     def _receive(self) -> bool:
