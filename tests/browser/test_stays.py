@@ -89,7 +89,7 @@ def test_a_moment_of_a_past_run_has_a_link(tmp_path: Path, visit: Open) -> None:
         visitor = visit(f"{address}#run={name}&at=25")
         visitor.sees("s.mode === 'past' && s.moment === 25 && s.thought !== undefined")
         assert visitor.value("s.thought.iteration") == 25
-        assert visitor.value("s.picture?.drawing?.shapes?.length ?? 0") > 2
+        visitor.sees("s.picture?.iteration === 25 && s.picture.drawing.shapes.length > 2")
         assert visitor.value("s.rows.iteration.length") == 60
         visitor.page.click("[aria-label='One iteration on']")
         visitor.sees("s.moment === 26")
