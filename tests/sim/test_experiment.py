@@ -248,3 +248,20 @@ def test_a_run_can_be_stopped_and_watched(tmp_path: Path) -> None:
     assert seen[:5] == [0, 1, 2, 3, 4]
     assert len(seen) < 24
     assert [r.row for r in read_log(tmp_path) if r.row is keys.FINISHED] == []
+
+
+def test_without_phases_nobody_teaches_and_what_can_be_wanted_is_known() -> None:
+    content = read_file(PAPER, SHORT)
+    del content["teacher"]["phase"]
+    alone = Experiment(content, PAPER)
+    assert alone.teacher is None
+    assert not alone.scripted_teachers
+    assert (policy := alone.policy()) is not None
+    assert policy.commands == Experiment.read(PAPER).schedule().policy.commands
+    del content["teacher"]
+    names = Experiment(content, PAPER).policy()
+    assert names is not None
+    assert names.commands == tuple(choice["name"] for choice in content["choice"]), "one command a choice"
+    content["teacher"] = {"policy": "reech"}
+    with pytest.raises(ConfigError, match="reach"):
+        Experiment(content, PAPER)

@@ -164,7 +164,6 @@ def test_a_scene_that_lacks_what_the_policy_looks_at_is_a_lookup_error() -> None
 @pytest.mark.parametrize(
     "section",
     [
-        {"phase": []},
         {"phase": [{"start": -1, "name": "a"}]},
         {"phase": [{"start": 0}]},
         {"phase": [{"start": 0, "name": "a", "teacher": "a/b"}]},

@@ -99,12 +99,12 @@ class Experiment:
         self.teacher = self._wants if self._wants is not None and self._wants.phase else None
         """The scripted teachers'; None: there are none."""
         self._source = source
-        if self.teacher is not None:
+        if self._wants is not None:
             try:
-                self.schedule()
+                self.policy() if self.teacher is None else self.schedule()
             except ValueError as error:
                 raise ConfigError(f"{source}: teacher: {error}") from error
-            if self.teacher.sound is not None and self.brain.ear is None:
+            if self.teacher is not None and self.teacher.sound is not None and self.brain.ear is None:
                 raise ConfigError(f"{source}: teacher.sound needs an [ear]; --set ear.detector=template gives it one")
 
     @classmethod

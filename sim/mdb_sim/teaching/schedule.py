@@ -186,7 +186,7 @@ def schedule_of(section: TeacherSection, seed: int, folder: Path | None = None) 
     """Return the schedule of a `[teacher]` section; TeacherError when its policy or its phases make none."""
     policy = make_policy(section.policy, section.options, folder)
     starts = [phase.start for phase in section.phase]
-    if starts[0] != 0 or starts != sorted(set(starts)):
+    if starts[:1] != [0] or starts != sorted(set(starts)):
         raise TeacherError(f"phases start at {starts}; expected 0 first and then growing iterations")
     languages: dict[str, Language] = {}
     phases = []
