@@ -110,3 +110,13 @@ def test_docker_compose_reads_the_same_file() -> None:
                 config = [*command, "-p", "mdb", "-f", str(COMPOSE_FILE), "config", "--quiet"]
                 result = subprocess.run(config, capture_output=True, text=True, check=False)
                 assert result.returncode == 0, result.stderr
+
+
+def test_the_page_is_there_when_it_is_wanted_and_nobody_waits_for_it() -> None:
+    specs, paper = read(), Experiment.read(experiment_path("paper"))
+    assert "web" not in for_experiment(specs, paper)
+    chosen = for_experiment(specs, paper, web=True)
+    assert not chosen["web"].needed
+    assert chosen["web"].after == ()
+    assert chosen["web"].token == "web/console"
+    assert not any("web" in spec.after for spec in chosen.values())

@@ -17,10 +17,12 @@ from websockets.exceptions import InvalidStatus
 from mdb_deploy.keys.credentials import KeyFolder
 from mdb_deploy.web.guard import TOKENS_FILE, Guard, RefusedError, Site, tokens_in
 from mdb_deploy.web.opening import PORT, Place, WebOptions, bind, check
+from mdb_protocol import keys
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.roles import Role
+from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_protocol.zenoh_sessions import Router
-from tests.web.rig import BOUND_S, BRAIN, ROUTER_CONFIG, Console, Page, options_of, run_folder
+from tests.web.rig import BOUND_S, BRAIN, ROUTER_CONFIG, Console, Page, run_folder, scene
 
 RECORDED = "run-20260101-000000-seed1"
 
@@ -179,13 +181,10 @@ class Locked(NamedTuple):
     folder: KeyFolder
     trust: ssl.SSLContext
 
-    def links(self) -> dict[str, str]:
-        return {words.rpartition(" ")[2]: link for words, link in self.console.guard.links()}
-
     def client(self, role: str) -> httpx.Client:
         """Open a role's link, as a browser does."""
         client = httpx.Client(verify=self.trust, follow_redirects=True)
-        assert client.get(self.links()[role]).status_code == 200
+        assert client.get(self.console.guard.links()[role]).status_code == 200
         return client
 
     def page(self, role: str) -> Page:
@@ -228,7 +227,7 @@ def test_without_a_link_nothing_is_shown(locked: Locked) -> None:
 
 def test_a_link_becomes_a_cookie_and_leaves_the_address(locked: Locked) -> None:
     with httpx.Client(verify=locked.trust) as client:
-        answer = client.get(locked.links()["viewer"])
+        answer = client.get(locked.console.guard.links()["viewer"])
         assert (answer.status_code, answer.headers["location"]) == (303, "/")
         (kept,) = [c for c in answer.headers.get_list("set-cookie") if "Max-Age" in c]
         assert "HttpOnly" in kept
@@ -287,22 +286,22 @@ def test_a_token_is_compared_whole() -> None:
     assert not guard.rights(None, "mdb-1=abc").teach
 
 
-def test_options_of_a_bundle_on_this_machine(tmp_path: Path) -> None:
-    """A viewer's bundle shows the brain, and no more."""
+def test_a_viewers_bundle_shows_the_brain_and_no_more(tmp_path: Path) -> None:
     folder = KeyFolder.create(tmp_path / "keys", BRAIN)
+    bundle = folder.add(Role.VIEWER, "tom")
     listen = "tls/127.0.0.1:0"
     router = Router(ROUTER_CONFIG, listen, keys=folder.router_keys(listen))
-    bundle = folder.add(Role.VIEWER, "tom")
-    router.close()
-    router = Router(ROUTER_CONFIG, listen, keys=folder.router_keys(listen))
     run = run_folder(tmp_path / "runs" / "now")
-    options = options_of(router.endpoint(), run)
-    options = WebOptions(Place(router.endpoint(), run, keys=bundle), port=0, instance="tom")
-    with Console(options) as console:
-        ((_, link),) = console.guard.links()
+    options = WebOptions(Place(router.endpoint(), run, keys=bundle), port=0)
+    with Console(options) as console, ZenohBus(BRAIN, router.endpoint(), credentials=folder.path) as brain:
+        ((role, link),) = console.guard.links().items()
+        assert role == "viewer"
         cookies = httpx.get(link).cookies
         header = "; ".join(f"{name}={value}" for name, value in cookies.items())
         with Page(console, additional_headers={"Cookie": header}) as page:
             page.until(lambda state: state.get("hello", {}).get("live"))
-            page.until(lambda state: state.get("trouble"))
+            brain.publisher(keys.SCENE).put(scene(7))
+            page.until(lambda state: state.get("scene", {}).get("iteration") == 7)
+            assert not page.ask(do="join", name="tom")["ok"]
+        assert "viewer/tom" in brain.alive()
     router.close()

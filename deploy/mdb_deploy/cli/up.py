@@ -164,9 +164,10 @@ def _web(arguments: argparse.Namespace, listen: str, run: Path, console: Console
         return None
     arguments.extra = "web"
     from mdb_deploy.running.up import Web
-    from mdb_deploy.web.opening import Place, WebOptions, bind, check, guard_of
+    from mdb_deploy.web.opening import Place, WebOptions, bind, check, check_packages, guard_of
     from mdb_protocol import endpoints
 
+    check_packages()
     host = "127.0.0.1" if arguments.keys is None else endpoints.parse(listen).host
     options = WebOptions(Place(keys=arguments.keys), host, arguments.web_port)
     check(options)
@@ -175,7 +176,7 @@ def _web(arguments: argparse.Namespace, listen: str, run: Path, console: Console
     guard = guard_of(options, port)
 
     def say() -> None:
-        for what, link in guard.links():
-            console.print(f"{what}: {link}", soft_wrap=True)
+        for line in guard.lines():
+            console.print(line, soft_wrap=True)
 
     return Web(listening, host, port, run.parent, say, lambda: console.print("the page goes on; Ctrl-C ends it"))

@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    web.add_argument("--connect", metavar="ENDPOINT", help=f"the router ({DEFAULT_ENDPOINT})")
+    web.add_argument("--connect", metavar="ENDPOINT", help=f"the router ({DEFAULT_ENDPOINT}, with keys tls/)")
     web.add_argument("--brain", help="the brain's name (the one that is there)")
     web.add_argument("--run", type=Path, metavar="FOLDER", help="the brain's run folder (found, if it runs here)")
     web.add_argument("--experiment", type=experiment_path, metavar="FILE", help="what a brain elsewhere does")
@@ -51,7 +51,8 @@ def _web(arguments: argparse.Namespace) -> int:
     from mdb_services.shell.service import Stopper
 
     host, port = address_of(arguments.listen)
-    connect = arguments.connect or (None if arguments.run is not None else DEFAULT_ENDPOINT)
+    usual = DEFAULT_ENDPOINT if arguments.keys is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/")
+    connect = arguments.connect or (None if arguments.run is not None else usual)
     run = arguments.run.resolve() if arguments.run is not None else None
     place = Place(connect, run, arguments.experiment, arguments.brain, arguments.keys)
     options = WebOptions(place, host, port, arguments.runs.resolve(), f"page-{os.getpid()}")
@@ -62,8 +63,7 @@ def _web(arguments: argparse.Namespace) -> int:
 
 
 def _say(guard: Guard) -> None:
-    for what, link in guard.links():
-        sys.stdout.write(f"{what}: {link}\n")
+    sys.stdout.writelines(f"{line}\n" for line in guard.lines())
     sys.stdout.flush()
 
 

@@ -26,6 +26,8 @@ HOST = re.compile(r"(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[A-Za-z0-9._-]+))(?:
 """A host as a browser says it, perhaps with its port."""
 TOKENS_FILE = "web.tokens"
 ROLES = ("viewer", "teacher", "operator")
+TO = {"viewer": "to watch", "teacher": "to watch and teach", "operator": "to do everything"}
+"""What each role's link is for."""
 TOKEN_BYTES = 24
 MOST_BYTES = 4096
 """Of the file with the tokens."""
@@ -121,12 +123,18 @@ class Guard:
             found = None
         return None if found is None else found.value
 
-    def links(self) -> list[tuple[str, str]]:
-        """Return what each link is for, and the link; without tokens there is one."""
+    def links(self) -> dict[str, str]:
+        """Return the link of each role; without tokens the operator's is for everyone."""
         address = self.site.address(self.known_as)
         if self.tokens is None:
-            return [("page", address)]
-        return [(f"page for a {role}", f"{address}?token={token}") for role, token in self.tokens.items()]
+            return {"operator": address}
+        return {role: f"{address}?token={token}" for role, token in self.tokens.items()}
+
+    def lines(self) -> list[str]:
+        """Return what is said of the page to who has started it."""
+        if self.tokens is None:
+            return [f"page: {link}" for link in self.links().values()]
+        return [f"page {TO[role]}: {link}" for role, link in self.links().items()]
 
     def headers(self, host: str) -> dict[str, str]:
         """Return what each answer says of what a page of ours may load: from here, and from nowhere else."""

@@ -9,6 +9,7 @@ import secrets
 import socket
 import ssl
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from mdb_deploy.web.guard import LOOPBACK, TOKEN_BYTES, Guard, Site, tokens_in
@@ -21,6 +22,7 @@ PORT, PORTS_TRIED = 8787, 50
 SOCKET_VARIABLE = "MDB_WEB_SOCKET"
 """Holds the number of the socket that `mdb up` listens with, if it has started this process."""
 BACKLOG = 256
+PACKAGES = ("starlette", "uvicorn", "websockets")
 WRITE_BYTES = 2**17
 """Waiting to be sent on one connection, here and in the system each, before its sender waits: what waits gets old."""
 
@@ -49,6 +51,13 @@ class WebOptions:
     instance: str = "console"
     open_to_everyone: bool = False
     """Listen beyond this machine without keys: in a container, whose port is for this machine alone."""
+
+
+def check_packages() -> None:
+    """Raise ModuleNotFoundError when this machine lacks what serves the page."""
+    for name in PACKAGES:
+        if find_spec(name) is None:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
 def is_loopback(host: str) -> bool:

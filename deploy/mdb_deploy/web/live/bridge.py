@@ -15,10 +15,11 @@ import structlog
 
 from mdb_deploy.web.live.fan import Fan, Waiting
 from mdb_deploy.web.live.finding import BRAIN, Found, NotYetError, find, run_of
-from mdb_deploy.web.live.hub import FRAME_S, Hub
+from mdb_deploy.web.live.hub import FRAME_S, ROLE, Hub
 from mdb_deploy.web.opening import Place
 from mdb_deploy.web.telling.hello import hello
 from mdb_deploy.web.telling.story import Story
+from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.shell.heartbeat import SILENT_S, START_S, Heart
@@ -68,7 +69,9 @@ class Bridge:
         """There while a router is joined."""
         self.on_found: Callable[[], None] = lambda: None
         """Called in this thread when another brain or run is shown."""
-        self._place, self._instance = place, instance
+        self._place, self._role, self._instance = place, ROLE, instance
+        if place.keys is not None and place.keys.is_file() and (user := Bundle.read(place.keys).user) is not None:
+            self._role, self._instance = user.role.value, user.name  # it may be nothing else
         self._waiting = Waiting()
         self._story: Story
         self._fresh = False
@@ -126,7 +129,7 @@ class Bridge:
         )
         try:
             self._begin(found)
-            self.hub = hub = Hub(bus, self._instance, self._story, self.fan)
+            self.hub = hub = Hub(bus, self._instance, self._story, self.fan, role=self._role)
             if self._fresh:
                 self._catch_up(hub, found)
                 self._fresh = False

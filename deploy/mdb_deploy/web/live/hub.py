@@ -44,11 +44,9 @@ NO_BRAIN = "The brain is not at work: it starts, or it starts again."
 class Hub:
     """See the module's docstring. The story is kept by the owner: the next hub goes on with it."""
 
-    role = ROLE
-
-    def __init__(self, bus: Bus, instance: str, story: Story, fan: Fan) -> None:
-        """Subscribe; what comes waits until `step`."""
-        self.bus, self.instance = bus, instance
+    def __init__(self, bus: Bus, instance: str, story: Story, fan: Fan, *, role: str = ROLE) -> None:
+        """Subscribe; what comes waits until `step`. `role`: as what it is alive, where keys let it be one alone."""
+        self.bus, self.role, self.instance = bus, role, instance
         self._story, self._fan = story, fan
         self._inboxes = [(row, bus.subscriber(row)) for row in HEARD]
         self._unwatch: Callable[[], None] | None = None
@@ -133,6 +131,8 @@ class Hub:
 
     def _say_watched(self) -> None:
         """Say to the robot whether somebody watches."""
+        if self.role == VIEWER:
+            return  # it says so all the time
         if self._fan.watched and self._unwatch is None:
             with suppress(BusError):  # keys that may not: then there are no pictures
                 self._unwatch = self.bus.token(VIEWER, self.instance)
