@@ -203,4 +203,4 @@ def test_a_process_that_is_told_to_stop_and_does_not_come_to_its_end_leaves_as_i
         process.send_signal(signal.SIGTERM)
         said, _ = process.communicate(timeout=30.0)
     assert process.returncode == 1
-    assert b"leaves as it is" in said
+    assert b"ends without it" in said
