@@ -54,8 +54,9 @@ class Past {
     this._archive = new Archive();
     this._name = null;
     this._build(root);
+    page.openPast = (name) => this._enter(name, null);
     page.on("mode", (mode) => mode === "live" && this._name !== null && this._closed());
-    page.on("finished", () => this._list());
+    for (const part of ["finished", "hello"]) page.on(part, () => page.state.mode === "live" && this._list());
     window.addEventListener("popstate", () => this._follow());
     this._list();
     this._follow();
@@ -103,7 +104,7 @@ class Past {
     try {
       const runs = await this._archive.runs();
       this._runs.replaceChildren(...runs.map((run) => {
-        const made = button([el("strong", {}, run.name), el("span", { class: "plain" }, run.words)],
+        const made = button([el("strong", {}, run.name), el("span", { class: "plain" }, this._goesOn(run.name) ? "runs now; what was so far" : run.words)],
           () => this._enter(run.name, null), { class: "run", "data-run": run.name });
         press(made, run.name === this._name);
         return el("li", {}, made);
@@ -112,6 +113,12 @@ class Past {
     } catch (error) {
       say(this._none, error.message);
     }
+  }
+
+  /** Whether a run is the one that goes on now. */
+  _goesOn(name) {
+    const { hello, finished, mode } = this._page.state;
+    return mode === "live" && Boolean(hello?.live) && hello.run === name && !finished;
   }
 
   /** Open what the address says. */

@@ -90,6 +90,7 @@ class Guide {
 
   open() {
     if (this._dialog.open) return;
+    this._top = window.scrollY;
     this._dialog.showModal();
     this._go(0);
   }
@@ -143,6 +144,7 @@ class Guide {
   }
 
   _toTeach() {
+    this._top = null;
     this._dialog.close();
     const teach = document.getElementById("teach");
     teach?.scrollIntoView({ block: "nearest" });
@@ -156,11 +158,13 @@ class Guide {
       this._point();
       return;
     }
+    this._top = null;
     this._dialog.close();
     document.getElementById("scene")?.scrollIntoView({ block: "nearest" });
   }
 
   _closed() {
     kept.set("guided", "yes");
+    if (this._top !== null) window.scrollTo({ top: this._top }); // back to where the visitor was
   }
 }

@@ -83,7 +83,7 @@ export class LanguageEditor {
     });
     this._rows.replaceChildren(...this._buttons);
     say(this._help, this._chosen === null
-      ? "Choose a meaning."
+      ? "To exchange two notes, choose a meaning."
       : `Now choose another meaning, or press the key of a note: “${this._hello.commands[this._chosen]}” gets that note, and the two are exchanged.`);
   }
 

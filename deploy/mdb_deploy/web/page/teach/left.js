@@ -67,7 +67,8 @@ export class Left {
     const operates = Boolean(this._hello?.rights?.operate) && scripted(state);
     say(this._title, `${this._ended} ${taught ? "The scripted teacher goes on." : "Now watch: it goes on alone."}`);
     say(this._how, taught ? `${state.phase.teacher} teaches it now, in a language of its own.`
-      : "Nobody teaches it now. It acts by the model that it made from the feedback.");
+      : `Nobody teaches it now. It acts by the model that it made from the feedback.${
+        scripted(state) && state.control?.script === false ? " The scripted teacher stays silent until you give the robot back to it." : ""}`);
     this._alone.hidden = !(operates && taught);
     this._give.hidden = !(operates && state.control?.script === false);
     const { scene } = state;

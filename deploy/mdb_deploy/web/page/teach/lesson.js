@@ -14,6 +14,18 @@ const TURNS = {
   over: "The run is over.",
 };
 
+/**
+ * Who is being obeyed in the place of this teacher, or null. A script that was told to be silent, or whose phase is
+ * over, says no more: whoever plays next is obeyed.
+ */
+function rivalOf(hello, you, { control, phase }) {
+  const other = you.obeyed ?? null;
+  if (other === null || other === you.name) return null;
+  const scripted = (hello.phases ?? []).some((each) => each.teacher === other);
+  if (scripted && (control?.script === false || (phase && phase.teacher !== other))) return null;
+  return other;
+}
+
 /** Some iterations as lines of a table. */
 function lines(hello, exchanges) {
   const name = (command) => (command === null || command === undefined ? "" : hello.commands[command] ?? `command ${command}`);
@@ -146,13 +158,15 @@ export class Lesson {
 
   /**
    * Renew all. `you`: as the server says. `now`: {tools: what is on, on this side; control: as the operator said;
-   * rights; scripted: whether there is a scripted teacher; random: whether the robot acts at random at first}.
+   * rights; scripted: whether there is a scripted teacher; phase: as the script says; explores: whether the robot
+   * tries actions only to learn}.
    */
   show(hello, you, now) {
     const { tools } = now;
     const turn = you.turn ?? { kind: "watch", iteration: 0, left_s: null };
-    this._showTurn(hello, you, turn);
-    this._showCounts(you, now);
+    const rival = rivalOf(hello, you, now);
+    this._showTurn(hello, you, turn, rival);
+    this._showCounts(you, now, rival, new Set((hello.phases ?? []).map((each) => each.teacher)));
     this._showJudge(hello, you, turn);
     this._showPlay(hello, you, turn);
     this._showMeasures(you);
@@ -174,8 +188,8 @@ export class Lesson {
     }
   }
 
-  _showTurn(hello, you, turn) {
-    const another = Boolean(you.obeyed) && you.obeyed !== you.name && turn.kind !== "over";
+  _showTurn(hello, you, turn, rival) {
+    const another = rival !== null && turn.kind !== "over";
     const mine = you.paused ? "You stay silent. It goes on without you."
       : another ? "Watch: somebody else is being obeyed." : TURNS[turn.kind] ?? TURNS.watch;
     say(this._words, mine);
@@ -210,22 +224,23 @@ export class Lesson {
     say(this._left, this._waiting ? "it waits for you" : left_ms === null ? "" : left_ms === 0 ? "it goes on" : `${(left_ms / 1000).toFixed(1)} s`);
   }
 
-  _showCounts(you, { control, rights, scripted, random }) {
+  _showCounts(you, { control, rights, scripted, explores }, rival, script) {
     const mine = you.obeyed === you.name;
     const others = (you.others ?? []).filter((each) => each !== you.obeyed && each !== "script");
     const also = others.length ? ` Also here: ${others.join(", ")}.` : "";
-    const other = `“${you.obeyed}”`;
-    const words = you.obeyed === null || you.obeyed === undefined ? "Nobody is being obeyed now: play a note."
-      : !mine ? `${other} is being obeyed. Your notes do not count until ${other} is silent or leaves.`
-        : random ? "Your notes count. At first it acts at random, to see everything once. Then it obeys."
-          : "You are being obeyed: your notes count.";
+    const other = `“${rival}”`;
+    const words = rival !== null ? `${other} is being obeyed. Your notes do not count until ${other} is silent or leaves.`
+      : you.paused ? "You stay silent: nobody is being obeyed."
+        : !mine ? "Nobody is being obeyed now: play a note."
+          : explores ? "Your notes count. Now it tries actions, to learn. Later it obeys more often."
+            : "You are being obeyed: your notes count.";
     say(this._obeyed, words + also);
     // The session says the same of who is obeyed; once is enough.
-    say(this._trouble, !mine && you.obeyed && you.trouble?.startsWith(`${you.obeyed} `) ? "" : you.trouble ?? "");
-    this._obeyed.classList.toggle("is-good", mine);
-    this._obeyed.classList.toggle("is-bad", !mine && Boolean(you.obeyed));
+    say(this._trouble, rival !== null && you.trouble?.startsWith(`${rival} `) ? "" : you.trouble ?? "");
+    this._obeyed.classList.toggle("is-good", mine && !you.paused);
+    this._obeyed.classList.toggle("is-bad", rival !== null);
     const on = control?.script !== false;
-    show(this._take, rights.operate && scripted && on);
+    show(this._take, rights.operate && scripted && on && (you.paused || script.has(rival)));
     show(this._give, rights.operate && scripted && !on);
   }
 

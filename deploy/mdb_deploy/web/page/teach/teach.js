@@ -1,5 +1,6 @@
 // Teach: come with a name and a language, teach, leave; then watch the robot go on alone.
 
+import { named } from "../draw.js";
 import { button, el, kept, keysTaken, say, show } from "./dom.js";
 import { understood } from "./keys.js";
 import { LanguageEditor, drawn, orderOf, ordered } from "./language.js";
@@ -35,7 +36,7 @@ class Teach {
       judge: (value) => this._judge(value),
       wait: () => this._flipWait(),
       silent: () => this._do({ do: "silent", on: !page.state.you?.paused }),
-      script: (on) => this._do({ do: "control", script: on }),
+      script: (on) => this._script(on),
       sound: () => this._flipSound(),
       auto: () => this._do({ do: "auto", on: !page.state.you?.auto }),
       microphone: () => this._flipMicrophone(),
@@ -69,14 +70,17 @@ class Teach {
     this._takesRow = el("label", { class: "check", for: "teach-takes" }, this._takes, "Take over from the scripted teacher");
     this._come = el("button", { type: "submit", id: "teach-join", class: "primary" }, "Teach it");
     this._failed = el("p", { class: "trouble", role: "alert" });
+    this._goal = el("p", { id: "teach-goal" });
     this._form = el("form", { class: "come", submit: (event) => this._join(event) },
       el("p", {}, "The robot hears notes and does not know what they mean. Play a note, see what it does, and say how good that was. It learns your language, whatever it is."),
+      this._goal,
       el("label", { for: "teach-name" }, "Your name"), this._name,
       el("label", { for: "teach-language" }, "Your language"), this._language,
       this._takesRow, this._failed, this._come);
+    this._run = button("Look at any moment of this run", () => this._page.openPast?.(this._hello.run), { id: "teach-run", class: "primary" });
     this._left = new Left(this._page, () => this._again(), (on) => this._do({ do: "control", script: on }));
     this._leaves = button("Leave", () => this._leave(), { id: "leave", "aria-keyshortcuts": "q", title: "Leave (key q)" });
-    root.append(el("div", { class: "teach-head" }, this._title, this._leaves), this._why, this._back, this._left.root, this._form, this._lesson.root);
+    root.append(el("div", { class: "teach-head" }, this._title, this._leaves), this._why, this._back, this._run, this._left.root, this._form, this._lesson.root);
   }
 
   _teaches() {
@@ -105,6 +109,7 @@ class Teach {
     say(this._why, whyNot ?? "");
     show(this._why, whyNot !== null);
     show(this._back, mode === "past" && state.connection === "open" && this._hello?.live);
+    show(this._run, mode === "live" && Boolean(state.finished) && Boolean(this._hello?.run));
     const left = mode === "live" && !there && this._left.told;
     show(this._left.root, left);
     show(this._form, whyNot === null && !there && !left);
@@ -112,12 +117,14 @@ class Teach {
     show(this._leaves, there);
     if (whyNot !== null || !this._hello) return;
     const operates = Boolean(this._hello.rights?.operate);
+    const goals = (this._hello.successes ?? []).map((name) => `“${named(name)}”`).join(" or ");
+    say(this._goal, goals ? `Lead it to its goal: ${goals}. A hint tells which note is right.` : "A hint tells which note is right.");
     show(this._takesRow, operates && scripted(state) && state.control?.script !== false);
     say(this._title, there ? `${you.name} teaches ${this._hello.brain}` : "Teach");
     if (there) {
       this._lesson.show(this._hello, you, {
         control: state.control, tools: this._tools, rights: this._hello.rights ?? {}, scripted: scripted(state),
-        random: state.thought?.mode === "random",
+        phase: state.phase, explores: state.thought?.badge === "explores",
       });
     }
   }
@@ -131,7 +138,7 @@ class Teach {
     if (state.mode === "past") return `You look at a past run. Only a robot that runs now can be taught.${still}`;
     if (!hello) return state.connection === "lost" ? "There is no connection to the console." : "No robot runs yet.";
     if (!hello.live) return "No robot runs now. Past runs can be looked at below.";
-    if (state.finished && !state.you?.name) return "The run is over. Below you can look at any moment of it.";
+    if (state.finished && !state.you?.name) return "The run is over.";
     if (!hello.rights?.teach) return "You watch. To teach, open the link for teachers.";
     if (!hello.notes || !hello.commands?.length) return "This experiment has no notes: nobody teaches this robot.";
     return null;
@@ -237,6 +244,12 @@ class Teach {
       else say(this._failed, said.words);
     }
     return said.ok;
+  }
+
+  /** Let the scripted teacher teach, and stay silent meanwhile; or take the robot over from it. */
+  async _script(on) {
+    const silent = Boolean(this._page.state.you?.paused);
+    if ((await this._do({ do: "control", script: on })) && silent !== on) await this._do({ do: "silent", on });
   }
 
   _play(note) {

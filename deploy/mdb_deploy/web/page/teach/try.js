@@ -142,7 +142,9 @@ class Try {
     const phases = hello.phases ?? [];
     const place = phases.findIndex((each) => each.name === phase?.name);
     const next = place >= 0 ? phases[place + 1] : undefined;
-    const who = (each) => (each.teacher ? `${each.name} (${each.teacher} teaches)` : `${each.name} (nobody teaches)`);
+    const silent = this._page.state.control?.script === false;
+    const who = (each) => (each.teacher === null || each.teacher === undefined ? `${each.name} (nobody teaches)`
+      : silent ? `${each.name} (the scripted teacher is kept silent)` : `${each.name} (${each.teacher} teaches)`);
     show(this._next, next !== undefined);
     const here = place >= 0 ? `Phase: ${who(phases[place])}.` : "";
     say(this._phase, next ? `${here} Next: ${who(next)}.` : here);

@@ -1,6 +1,7 @@
 // The top of the page: what the robot does now in plain words, how far the run is, the connection, the theme.
 
 import { el, svg, kept, say, show, themeChanged } from "../draw.js";
+import { phasesOf } from "../past/timeline.js";
 
 const HEADLINES = {
   obeys: (who) => `Obeying ${who}`,
@@ -9,7 +10,8 @@ const HEADLINES = {
   waits: () => "Waiting",
 };
 const WORDS = {
-  obeys: (who) => `It does what the notes of ${who} mean, as far as it knows them.`,
+  obeys: (who) =>
+    `It does what ${who === "you" ? "your notes" : `the notes of ${who}`} mean, as far as it knows them.`,
   explores: () => "It tries actions, to learn what comes of them.",
   alone: (who) => (who === null ? "Nobody tells it what to do." : `By what it learnt from ${who}.`),
   waits: () => "Nothing was decided yet.",
@@ -91,15 +93,14 @@ export function start(root, { state, on, showLive }) {
     show(phases, name !== "");
     show(count.parentElement, name !== "");
     renew();
-    build(phases, hello);
     progress();
   });
   const progress = () => {
     const at = iteration(state);
     say(count, at === null ? "–" : String(at));
-    fill(phases, at, state.phase, state.hello);
+    fill(phases, at, state);
   };
-  for (const part of ["scene", "moment", "phase", "rows", "mode"]) on(part, progress);
+  for (const part of ["scene", "moment", "phase", "rows", "mode", "control", "thought", "you"]) on(part, progress);
   on("connection", (now) => {
     link.dataset.link = now;
     say(link, LINKS[now]);
@@ -169,52 +170,50 @@ function capital(text) {
   return text.slice(0, 1).toUpperCase() + text.slice(1);
 }
 
-function build(phases, hello) {
-  const total = hello.experiment.iterations;
-  const all = hello.phases.length > 0 ? hello.phases : [{ start: 0, name: hello.experiment.name, teacher: null }];
-  phases.replaceChildren(
-    ...all.map((phase) => {
-      const unnamed = phase.teacher && !phase.name.includes(phase.teacher);
-      const words = unnamed ? `${phase.name} · ${phase.teacher}` : phase.name;
-      const made = el(
-        "li",
-        {
-          title: `${words}, from iteration ${phase.start}`,
-          "data-start": phase.start,
-          "data-taught": phase.teacher ? "yes" : "no",
-        },
-        el("i"),
-        el("span", {}, words),
-      );
-      return made;
-    }),
-  );
-  spread(phases, total);
+/**
+ * The phases as they are now, [{from, to, words, title, taught}], and the place of the one that goes on. A phase that
+ * was ended by hand is shorter. While the scripted teacher is kept silent nobody teaches in its phases but who came.
+ */
+export function phasesNow(at, { hello, control, thought, you }) {
+  const total = Math.max(1, hello.experiment.iterations);
+  const found = phasesOf(hello, total - 1, control?.ended ?? []);
+  const all = found.length > 0 ? found : [{ from: 0, to: total - 1, name: hello.experiment.name, teacher: null }];
+  const now = all.findLastIndex((phase) => at !== null && phase.from <= at);
+  const told = all.map((phase, i) => {
+    const silent = control?.script === false && i >= now;
+    const planned = silent ? null : phase.teacher;
+    const teacher = i === now ? (who(thought?.teacher, you) ?? planned) : planned;
+    const nobody = phase.teacher !== null && teacher === null;
+    const unnamed = teacher !== null && !phase.name.includes(teacher);
+    const words = nobody ? `${phase.name} · nobody` : unnamed ? `${phase.name} · ${teacher}` : phase.name;
+    const title = `${words}, from iteration ${phase.from}${nobody ? ". The scripted teacher is kept silent." : ""}`;
+    return { from: phase.from, to: phase.to, words, title, taught: teacher !== null };
+  });
+  return { told, now };
 }
 
-/** Widths by the iterations of each phase; those that end early are shorter. */
-function spread(phases, total) {
-  const starts = [...phases.children].map((one) => Number(one.dataset.start));
-  for (const [i, one] of [...phases.children].entries()) {
-    one.style.flex = `${Math.max((starts[i + 1] ?? total) - starts[i], 1)} 1 0`;
+function fill(list, at, state) {
+  if (state.hello === undefined || state.hello.experiment.name === "") return;
+  const { told, now } = phasesNow(at, state);
+  const shape = JSON.stringify(told);
+  if (list.dataset.shape !== shape) {
+    list.dataset.shape = shape;
+    while (list.children.length > told.length) list.lastChild.remove();
+    while (list.children.length < told.length) list.append(el("li", {}, el("i"), el("span")));
+    for (const [i, phase] of told.entries()) {
+      const made = list.children[i];
+      made.title = phase.title;
+      made.dataset.taught = phase.taught ? "yes" : "no";
+      made.style.flex = `${Math.max(phase.to - phase.from + 1, 1)} 1 0`;
+      say(made.lastChild, phase.words);
+    }
   }
-}
-
-function fill(phases, at, phase, hello) {
-  if (hello === undefined || hello.experiment.name === "") return;
-  const all = [...phases.children];
-  const starts = all.map((one) => Number(one.dataset.start));
-  let now = starts.findLastIndex((start) => at !== null && start <= at);
-  // A phase that was ended by hand began earlier than the file says: its name tells which one it is.
-  const named = hello.phases.findIndex((one) => phase !== undefined && phase !== null && one.name === phase.name);
-  if (named >= 0) now = named;
-  for (const [i, one] of all.entries()) {
-    const end = starts[i + 1] ?? hello.experiment.iterations;
-    const began = i === now && named >= 0 ? Math.min(phase.iteration ?? starts[i], starts[i]) : starts[i];
-    const share = i < now ? 1 : i > now || at === null ? 0 : Math.min(1, (at - began) / Math.max(1, end - began));
-    one.firstChild.style.width = `${(100 * share).toFixed(1)}%`;
-    if (i === now) one.setAttribute("aria-current", "step");
-    else one.removeAttribute("aria-current");
+  for (const [i, phase] of told.entries()) {
+    const whole = Math.max(1, phase.to - phase.from + 1);
+    const share = i < now ? 1 : i > now || at === null ? 0 : Math.min(1, (at - phase.from) / whole);
+    list.children[i].firstChild.style.width = `${(100 * share).toFixed(1)}%`;
+    if (i === now) list.children[i].setAttribute("aria-current", "step");
+    else list.children[i].removeAttribute("aria-current");
   }
 }
 

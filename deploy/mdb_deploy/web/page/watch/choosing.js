@@ -26,11 +26,12 @@ export function start(root, { state, on }) {
   const promised = el("strong", { id: "promised" }, "–");
   const came = el("strong", { id: "came" }, "–");
   const cameOf = el("span", {}, "What came");
-  const promisedOf = el("span", {}, "It predicted");
+  const outcomeWords = el("p");
   const outcome = el(
     "div",
     { class: "outcome", id: "outcome" },
-    el("div", {}, promisedOf, promised),
+    outcomeWords,
+    el("div", {}, el("span", {}, "It predicted"), promised),
     el("span", { class: "arrow", "aria-hidden": "true" }, "→"),
     el("div", {}, cameOf, came),
   );
@@ -76,8 +77,10 @@ export function start(root, { state, on }) {
     tellNumber(promised, done.predicted);
     tellNumber(came, done.feedback, done.waits ? "…" : "no feedback");
     say(
-      promisedOf,
-      done.iteration === thought.iteration ? "It predicted" : `Iteration ${done.iteration}: it predicted`,
+      outcomeWords,
+      done.iteration === thought.iteration
+        ? `This action, iteration ${done.iteration}`
+        : `The action before, iteration ${done.iteration}`,
     );
     const told = done.event && done.event !== "none" && done.event !== "nothing";
     say(cameOf, told ? `What came: ${named(done.event)}` : "What came");

@@ -2,6 +2,7 @@
 
 import { colour, el, faint, head, modelColour, named, painter, say, show, short, signed } from "../draw.js";
 import { LOWEST_ERROR, chart } from "./parts/chart.js";
+import { phasesOf } from "../past/timeline.js";
 import { perRows, places, runningMean, spans } from "./parts/series.js";
 
 const SUCCESS_ROWS = 100;
@@ -50,7 +51,7 @@ export function start(root, { state, on }) {
     if (now !== theme) for (const one of charts) one.forget();
     theme = now;
     const live = state.mode === "live";
-    shaded = spans(rows, live ? (hello.phases ?? []) : [], hello.experiment.iterations);
+    shaded = spans(rows, live ? toCome(state) : [], hello.experiment.iterations);
     const teachers = [...new Set(shaded.map((one) => one.teacher).filter(Boolean))];
     const shade = (name) => faint(TEACHERS[Math.max(0, teachers.indexOf(name)) % TEACHERS.length], 0.13);
     const context = { shaded, shade, moment: state.mode === "past" ? state.moment : null, marks: marks(state) };
@@ -86,8 +87,16 @@ export function start(root, { state, on }) {
     renewLegend(legend, teachers, shade, context.marks);
   };
   const touch = painter(root, paint, REST_MS);
-  for (const part of ["rows", "hello", "contexts", "moment", "mode", "timing"]) on(part, touch);
+  for (const part of ["rows", "hello", "contexts", "moment", "mode", "timing", "control"]) on(part, touch);
   new ResizeObserver(touch).observe(plots);
+}
+
+/** The phases with those who will teach in them, as far as is known now. */
+function toCome({ hello, control }) {
+  return phasesOf(hello, hello.experiment.iterations - 1, control?.ended ?? []).map((phase) => ({
+    start: phase.from,
+    teacher: control?.script === false ? null : phase.teacher,
+  }));
 }
 
 /** The end of the axis: a whole part of the run further than what was, so that the picture seldom jumps. */

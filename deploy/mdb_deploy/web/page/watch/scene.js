@@ -11,6 +11,8 @@ const FLASH_MS = 1400;
 /** Readings that are told beside the picture. */
 const MOST_READINGS = 8;
 const CROSS_PX = 5;
+/** What the shapes are, for the key. */
+const MEANINGS = { robot: "robot", thing: "object", trail: "its way", sensed: "what it senses" };
 
 export function start(root, page) {
   const { state, on } = page;
@@ -41,7 +43,8 @@ export function start(root, page) {
   };
   let image = null;
   let imageOf = null;
-  root.append(box, senses);
+  const key = el("ul", { class: "key", id: "scene-key", hidden: true });
+  root.append(box, key, senses);
   const { canvas, context, fresh } = canvasIn(box, () => touch());
   box.append(waiting, numbers, flash);
 
@@ -100,10 +103,12 @@ export function start(root, page) {
     }
     show(waiting, !picture && !state.scene);
     tellNumbers();
+    tellKey(key, drawing);
     touch();
     tell(inWords(state));
   });
   on("mode", () => (view.after = null));
+  on("hello", () => delete key.dataset.kinds);
 
   const tellNumbers = () => {
     const bare = !state.picture?.drawing && !state.picture?.image && Boolean(state.scene);
@@ -132,6 +137,18 @@ export function start(root, page) {
   const sensesTouch = painter(senses, () => facts(senses, readings(state.perception?.reading, state.scene)));
   on("perception", sensesTouch);
   on("scene", sensesTouch);
+}
+
+/** What each colour of a drawing is. What was once there stays in the key: it comes and goes with each action. */
+function tellKey(list, drawing) {
+  show(list, drawing !== null);
+  if (drawing === null) return;
+  const kinds = Object.keys(MEANINGS).filter((what) => drawing.shapes.some((shape) => shape.what === what));
+  const known = (list.dataset.kinds ?? "").split(" ");
+  const all = Object.keys(MEANINGS).filter((what) => kinds.includes(what) || known.includes(what));
+  if (list.dataset.kinds === all.join(" ")) return;
+  list.dataset.kinds = all.join(" ");
+  list.replaceChildren(...all.map((what) => el("li", {}, el("i", { class: `sign ${what}` }), MEANINGS[what])));
 }
 
 /** Take a new drawing: from what is shown now, in about the time until the next one comes. */
