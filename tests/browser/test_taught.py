@@ -43,7 +43,7 @@ def test_taught_until_it_obeys_then_it_goes_on_alone(tmp_path: Path, visit: Open
         visitor.sees("!s.you?.name")
         assert "Now watch: it goes on alone" in visitor.page.inner_text("#teach")
         assert "Obedience, your last notes" in visitor.page.inner_text("#teach")
-        visitor.page.wait_for_selector("#badge:has-text('what it learnt from ann')")
+        visitor.page.wait_for_selector("#badge:has-text('what it learnt from you')")
         visitor.sees(f"s.scene.successes >= a + {ENOUGH}", captured)
 
 

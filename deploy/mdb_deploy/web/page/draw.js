@@ -226,6 +226,15 @@ export function named(name) {
   return String(name).replaceAll(".", " ").replaceAll("_", " ");
 }
 
+/** The words of names without what all of them begin with, up to a "_", "." or space: "turn_base" is "base". */
+export function withoutCommon(names) {
+  const first = names[0] ?? "";
+  let end = 0;
+  for (let i = 0; names.length > 1 && i < first.length && names.every((name) => name[i] === first[i]); i++)
+    if (/[_. ]/.test(first[i])) end = i + 1;
+  return names.map((name) => named(name.slice(end)));
+}
+
 /**
  * What each column of a network's inputs or outputs is, in words. A channel in one-hot code has one for each of its
  * values; which of the channels it is, is told by how many columns there are, and notes are the usual ones.

@@ -189,7 +189,7 @@ class Past {
     const colours = this._line.teachers().map(({ name, colour }) => {
       const swatch = el("i", { class: "swatch" });
       swatch.style.background = `var(--${colour})`;
-      return el("span", {}, swatch, `${name} is being obeyed`);
+      return el("span", {}, swatch, `it obeys ${name}`);
     });
     const success = el("i", { class: "swatch thin" });
     success.style.background = "var(--green)";

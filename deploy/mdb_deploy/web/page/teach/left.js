@@ -20,7 +20,7 @@ export class Left {
     this._script = script;
     this.told = false;
     this.root = el("div", { class: "left", tabindex: -1, hidden: true });
-    for (const part of ["scene", "control", "phase"]) page.on(part, () => this._renew());
+    for (const part of ["scene", "control", "phase", "finished"]) page.on(part, () => this._renew());
   }
 
   /** Forget the lesson. */
@@ -38,10 +38,11 @@ export class Left {
     this._ended = trouble ? "Your lesson is over." : "You have left.";
     this._since = el("p", { class: "since" });
     this._how = el("p");
+    this._back = button("Come back as somebody else", this._again, { id: "come-back" });
     this._alone = button("Let it go on alone", () => this._script(false), { id: "go-alone" });
     this._give = button("Give back to the scripted teacher", () => this._script(true), { id: "give-back-after" });
     this.root.replaceChildren(this._title, ...(trouble ? [el("p", {}, trouble)] : []), this._since, this._how, this._summary(summary),
-      el("div", { class: "buttons" }, button("Come back as somebody else", this._again, { id: "come-back" }), this._alone, this._give));
+      el("div", { class: "buttons" }, this._back, this._alone, this._give));
     this.told = true;
     this._renew();
   }
@@ -64,16 +65,26 @@ export class Left {
     const { state } = this._page;
     if (!this.told || state.mode !== "live") return;
     const taught = scriptTeaches(state);
-    const operates = Boolean(this._hello?.rights?.operate) && scripted(state);
+    const operates = Boolean(this._hello?.rights?.operate) && scripted(state) && !state.finished;
+    this._back.hidden = Boolean(state.finished);
+    if (state.finished) {
+      say(this._title, "This is what came of your lesson.");
+      say(this._how, "");
+    } else {
+      this._tellNow(state, taught);
+    }
+    this._alone.hidden = !(operates && taught);
+    this._give.hidden = !(operates && state.control?.script === false);
+    const { scene } = state;
+    if (!this._from || !scene || scene.iteration <= this._from.iteration) return; // nothing yet, or another run
+    const what = this._hello?.successes?.length === 1 ? this._hello.successes[0] : "success";
+    say(this._since, `Since you left: ${scene.successes - this._from.successes} times “${what}” in ${scene.iteration - this._from.iteration} actions.`);
+  }
+
+  _tellNow(state, taught) {
     say(this._title, `${this._ended} ${taught ? "The scripted teacher goes on." : "Now watch: it goes on alone."}`);
     say(this._how, taught ? `${state.phase.teacher} teaches it now, in a language of its own.`
       : `Nobody teaches it now. It acts by the model that it made from the feedback.${
         scripted(state) && state.control?.script === false ? " The scripted teacher stays silent until you give the robot back to it." : ""}`);
-    this._alone.hidden = !(operates && taught);
-    this._give.hidden = !(operates && state.control?.script === false);
-    const { scene } = state;
-    if (!this._from || !scene || scene.iteration < this._from.iteration) return; // another run
-    const what = this._hello?.successes?.length === 1 ? this._hello.successes[0] : "success";
-    say(this._since, `Since you left: ${scene.successes - this._from.successes} times “${what}” in ${scene.iteration - this._from.iteration} actions.`);
   }
 }

@@ -63,7 +63,7 @@ class Teach {
     this._why = el("p", { class: "plain", role: "status" });
     this._back = button("Back to the robot that runs now", () => this._page.showLive(), { id: "teach-back" });
     this._name = el("input", { id: "teach-name", name: "name", type: "text", maxlength: 64, required: true, autocomplete: "off",
-      spellcheck: "false", value: kept.get("name", "you") });
+      spellcheck: "false", value: kept.get("name", `guest-${1 + Math.floor(99 * Math.random())}`) });
     this._language = el("select", { id: "teach-language" },
       ...Object.entries(LANGUAGES).map(([value, words]) => el("option", { value }, words)));
     this._takes = el("input", { id: "teach-takes", type: "checkbox", checked: true });
@@ -103,6 +103,8 @@ class Teach {
     const there = Boolean(you?.name);
     if (there && !this._wasThere) this._arrived(you);
     if (!there && this._wasThere) this._gone(you);
+    // Nothing more can be said: the lesson ends, and what came of it is told.
+    if (there && state.finished && mode === "live" && this._me) this._leave();
     this._wasThere = there;
     const whyNot = this._whyNot();
     this._root.classList.toggle("is-idle", mode === "past" && !there);
@@ -120,7 +122,7 @@ class Teach {
     const goals = (this._hello.successes ?? []).map((name) => `“${named(name)}”`).join(" or ");
     say(this._goal, goals ? `Lead it to its goal: ${goals}. A hint tells which note is right.` : "A hint tells which note is right.");
     show(this._takesRow, operates && scripted(state) && state.control?.script !== false);
-    say(this._title, there ? `${you.name} teaches ${this._hello.brain}` : "Teach");
+    say(this._title, there ? `You teach ${this._hello.brain}, as ${you.name}` : "Teach");
     if (there) {
       this._lesson.show(this._hello, you, {
         control: state.control, tools: this._tools, rights: this._hello.rights ?? {}, scripted: scripted(state),
@@ -227,7 +229,7 @@ class Teach {
 
   _again() {
     const [, stem, number] = /^(.*?)-?(\d*)$/.exec(this._name.value);
-    this._name.value = `${stem || "you"}-${Number(number || 1) + 1}`;
+    this._name.value = `${stem || "guest"}-${Number(number || 1) + 1}`;
     this._left.clear();
     this._show();
     this._name.focus();

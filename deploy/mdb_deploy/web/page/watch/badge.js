@@ -120,9 +120,14 @@ export function iteration(state) {
   return state.scene?.iteration ?? state.rows?.iteration.at(-1) ?? null;
 }
 
-/** Who is meant by a teacher's name: "you" for the visitor's own. */
+/** Who is meant by a teacher's name: "you" for the visitor's own, after the lesson too. */
 export function who(name, you) {
-  return name !== null && name !== undefined && name === you?.name ? "you" : (name ?? null);
+  return name !== null && name !== undefined && name === mine(you) ? "you" : (name ?? null);
+}
+
+/** The visitor's name as a teacher: now, or in the last lesson. */
+function mine(you) {
+  return you?.name ?? kept.get("name");
 }
 
 /** What the badge says of a state. */
@@ -131,7 +136,7 @@ export function told(state) {
   const kind = Object.hasOwn(HEADLINES, thought?.badge ?? "") ? thought.badge : "waits";
   const teacher = who(thought?.teacher, you);
   let title = HEADLINES[kind](teacher ?? "a teacher");
-  let text = own(thought?.badge_words, you?.name) || WORDS[kind](teacher);
+  let text = own(thought?.badge_words, you) || WORDS[kind](teacher);
   // The headline need not be said twice.
   if (text.toLowerCase().startsWith(title.toLowerCase())) {
     text = capital(text.slice(title.length).replace(/^[\s,.:]+/, ""));
@@ -156,9 +161,10 @@ export function told(state) {
 }
 
 /** The server's words, with "you" in the place of the visitor's own name, and a capital letter. */
-export function own(words, name) {
+export function own(words, you) {
   if (!words) return "";
   let text = words;
+  const name = mine(you);
   if (name) {
     const escaped = name.replace(/[.*+?^${}()|[\]\\]/g, "\\$&");
     text = text.replace(new RegExp(`(^|[^\\p{L}\\p{N}_])"?${escaped}"?(?![\\p{L}\\p{N}_])`, "gu"), "$1you");
@@ -182,7 +188,8 @@ export function phasesNow(at, { hello, control, thought, you }) {
   const told = all.map((phase, i) => {
     const silent = control?.script === false && i >= now;
     const planned = silent ? null : phase.teacher;
-    const teacher = i === now ? (who(thought?.teacher, you) ?? planned) : planned;
+    const heard = silent && thought?.teacher === phase.teacher ? null : who(thought?.teacher, you);
+    const teacher = i === now ? (heard ?? planned) : planned;
     const nobody = phase.teacher !== null && teacher === null;
     const unnamed = teacher !== null && !phase.name.includes(teacher);
     const words = nobody ? `${phase.name} · nobody` : unnamed ? `${phase.name} · ${teacher}` : phase.name;
@@ -210,7 +217,7 @@ function fill(list, at, state) {
   }
   for (const [i, phase] of told.entries()) {
     const whole = Math.max(1, phase.to - phase.from + 1);
-    const share = i < now ? 1 : i > now || at === null ? 0 : Math.min(1, (at - phase.from) / whole);
+    const share = i < now ? 1 : i > now || at === null ? 0 : Math.min(1, (at + (state.mode === "past" ? 1 : 0) - phase.from) / whole);
     list.children[i].firstChild.style.width = `${(100 * share).toFixed(1)}%`;
     if (i === now) list.children[i].setAttribute("aria-current", "step");
     else list.children[i].removeAttribute("aria-current");

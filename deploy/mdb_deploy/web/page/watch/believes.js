@@ -1,6 +1,6 @@
 // What it believes: the feedback that it predicts for every note and every action, filling while it learns.
 
-import { divergingText, el, head, kept, painter, say, show, signed } from "../draw.js";
+import { divergingText, el, head, kept, painter, say, show, signed, withoutCommon } from "../draw.js";
 
 /** The square in a cell is at least so large, however little supports it. */
 const SMALLEST = 0.3;
@@ -151,6 +151,8 @@ export function start(root, { state, on }) {
 
 /** Names without the words that all of them begin or end with, which are told once: {middles, around}. */
 function shortened(names) {
+  const points = names.map((name) => name.split(", ").map((part) => /^(\S+) ([+-]?[\d.]+)( \S+)?$/.exec(part)));
+  if (points.length > 1 && points[0].length > 1 && points.every((one) => one.every(Boolean))) return moved(points);
   const words = names.map((name) => name.split(" "));
   const fewest = Math.min(...words.map((one) => one.length));
   const alike = (place) => words.every((one) => one.at(place) === words[0].at(place));
@@ -167,6 +169,17 @@ function shortened(names) {
     ),
     around: [...words[0].slice(0, first), ...(last > 0 ? [`(${words[0].slice(-last).join(" ")})`] : [])].join(" "),
   };
+}
+
+/** Names of points of ranges: what is not 0 alone. `points`: of each point its parts, [, name, value, unit]. */
+function moved(points) {
+  const places = withoutCommon(points[0].map(([, name]) => name));
+  const middles = points.map((parts) => {
+    const told = parts.map(([, , value], i) => (Number(value) === 0 ? "" : `${places[i]} ${signed(Number(value))}`));
+    return told.filter(Boolean).join(" ") || "all 0";
+  });
+  const units = [...new Set(points[0].map(([, , , unit]) => unit?.trim()).filter(Boolean))];
+  return { middles, around: units.length > 0 ? `(${units.join(", ")})` : "" };
 }
 
 function mark(cell, name, is) {

@@ -1,6 +1,6 @@
 // How it chooses: the predicted satisfaction of every action as bars, the chosen one, what it promised, what came.
 
-import { el, head, named, painter, say, show, signed, short } from "../draw.js";
+import { el, head, named, painter, say, show, signed, withoutCommon } from "../draw.js";
 import { own, who } from "./badge.js";
 
 /** Actions of which each bar is drawn thin. */
@@ -42,7 +42,8 @@ export function start(root, { state, on }) {
     el("span", {}, "Strong colour: many pairs in its memory are like this. Faint: it only guesses."),
   );
   const empty = el("p", { class: "empty" }, "It has not chosen anything yet.");
-  const chart = el("div", { class: "bar-chart" }, bars, axis);
+  const of = el("p", { class: "bars-of", id: "bars-of" });
+  const chart = el("div", { class: "bar-chart" }, of, bars, axis);
   root.append(empty, situation, chart, key, outcome, why);
 
   let made = [];
@@ -50,14 +51,20 @@ export function start(root, { state, on }) {
   let shape = "";
   const paint = () => {
     const thought = state.thought;
-    show(empty, !thought);
-    for (const part of [situation, chart, key, outcome, why]) show(part, Boolean(thought));
-    if (!thought) return;
+    const none = !thought || thought.badge === "waits";
+    show(empty, none);
+    say(empty, state.scene?.iteration > 0 ? "Its next choice will be shown here." : "It has not chosen anything yet.");
+    for (const part of [situation, chart, key, outcome, why]) show(part, !none);
+    if (none) return;
     const actions = thought.actions ?? [];
-    const names = JSON.stringify(actions.map((one) => label(one)));
+    const labels = actions.map(label);
+    const names = JSON.stringify(labels);
     if (names !== shape) {
       shape = names;
-      made = actions.map(row);
+      const values = actions.length > 0 && actions.every(isPoint) ? Object.keys(actions[0].values) : [];
+      say(of, valuesOf(values, state.hello));
+      show(of, values.length > 0);
+      made = labels.map(row);
       bars.replaceChildren(...made.map((one) => one.item));
       bars.dataset.many = actions.length > MANY ? "yes" : "no";
     }
@@ -84,7 +91,7 @@ export function start(root, { state, on }) {
     );
     const told = done.event && done.event !== "none" && done.event !== "nothing";
     say(cameOf, told ? `What came: ${named(done.event)}` : "What came");
-    say(why, own(thought.why, state.you?.name));
+    say(why, own(thought.why, state.you));
   };
   const touch = painter(root, paint);
   on("thought", touch);
@@ -108,28 +115,36 @@ function outcomeOf(thought, rows) {
   };
 }
 
-/** The name of an action, or its values where it has none. */
-function label(action) {
-  if (action.name) return action.name;
-  return Object.entries(action.values ?? {})
-    .map(([name, value]) => `${named(name)} ${short(value)}`)
-    .join(", ");
+/** Whether an action is a point of ranges, and no choice with a name of its own. */
+function isPoint(action) {
+  return (action.choice ?? null) === null && Object.keys(action.values ?? {}).length > 0;
 }
 
-function row(action) {
+/** The name of an action; of a point of ranges its values, in the order that `valuesOf` tells. */
+function label(action) {
+  return isPoint(action) ? Object.values(action.values).map((value) => signed(value)).join("  ") : action.name;
+}
+
+/** What the values of the actions are: "base, shoulder, elbow (rad)". */
+function valuesOf(names, hello) {
+  const units = [...new Set(names.map((name) => hello?.actuators?.[name]?.unit).filter(Boolean))];
+  return `${withoutCommon(names).join(", ")}${units.length > 0 ? ` (${units.join(", ")})` : ""}`;
+}
+
+function row(words) {
   const bar = el("i");
   const mark = el("b", { hidden: true, title: "What came" });
   const number = el("span", { class: "number" });
-  const words = el("span", { class: "unseen" });
+  const told = el("span", { class: "unseen" });
   const item = el(
     "li",
     {},
-    el("span", { class: "label", title: label(action) }, label(action)),
+    el("span", { class: "label", title: words }, words),
     el("span", { class: "track", "aria-hidden": "true" }, bar, mark),
     number,
-    words,
+    told,
   );
-  return { item, bar, mark, number, words };
+  return { item, bar, mark, number, words: told };
 }
 
 function fill(row, action, most, thought) {

@@ -27,7 +27,7 @@ const KINDS = {
   changed: (model) => `${model}: the world is another one now. What was learnt before may be wrong.`,
   known: (model) => `${model}: the new situation is learnt.`,
   stored: (model, stored, again) =>
-    `${model}: stored in the long-term memory as number ${stored}${again ? ", in the place of the older one" : ""}.`,
+    `${model}: stored as number ${stored}${again ? ", in the place of the older one" : ""}.`,
   recalled: (model, stored) => `${model}: number ${stored} fits again, and acts at once.`,
 };
 
