@@ -37,6 +37,7 @@ def add(commands: Commands) -> None:
 
 def _change(arguments: argparse.Namespace) -> int:
     from mdb_deploy.running.changing import change_robot
+    from mdb_protocol import keys
     from mdb_protocol.zenoh_bus import ZenohBus
 
     settings = {}
@@ -49,6 +50,6 @@ def _change(arguments: argparse.Namespace) -> int:
         if not (equals and name):
             raise MdbError(f"{words!r}: expected NAME=VALUE with a value as in an experiment file: true, 0.5, [2, 3]")
     with ZenohBus(arguments.brain, arguments.connect, credentials=arguments.keys) as bus:
-        change_robot(bus, settings)
+        change_robot(bus, bus.publisher(keys.CHANGE), settings)
     sys.stdout.write(f"changed: {', '.join(arguments.settings)}\n")
     return 0

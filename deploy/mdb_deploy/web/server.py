@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import secrets
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
-import msgspec
 import structlog
 from starlette.applications import Starlette
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
+from mdb_deploy.web.archive import Archive
 from mdb_deploy.web.guard import Guard, RefusedError, Rights
 from mdb_deploy.web.live import orders
 from mdb_deploy.web.live.fan import Fan
 from mdb_deploy.web.live.visitor import Visitor
-from mdb_deploy.web.runs import BusyError, NoRunError, PastRuns
+from mdb_deploy.web.static import PageFiles
 from mdb_protocol.errors import MdbError
-from mdb_protocol.words import shown
 
 if TYPE_CHECKING:
     from mdb_deploy.web.live.bridge import Bridge
     from mdb_deploy.web.live.finding import Found
     from mdb_deploy.web.live.guests import Guests
+    from mdb_deploy.web.live.hub import Hub
     from mdb_deploy.web.live.operator import Operator
 
 log = structlog.get_logger()
@@ -39,20 +38,9 @@ Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
-PAGE = Path(__file__).parent / "page"
-KINDS = {
-    ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8", ".mjs": "text/javascript; charset=utf-8",
-    ".json": "application/json", ".svg": "image/svg+xml", ".png": "image/png", ".ico": "image/x-icon",
-    ".woff2": "font/woff2", ".txt": "text/plain; charset=utf-8", ".md": "text/plain; charset=utf-8",
-}  # fmt: skip
-"""What of the page's folder is served, and as what; the system's own list is not asked, for it may be another."""
-IMAGES = {".png": "image/png"}
 MOST_VISITORS = 64
-MOST_ITERATION = 2**53
 TICK_S = 0.05
 COOKIE_S = 30 * 24 * 3600
-NOT_FOUND = "there is nothing of this name here"
 
 
 class Console:
@@ -61,24 +49,21 @@ class Console:
     def __init__(self, guard: Guard, fan: Fan, runs: Path | None) -> None:
         """`runs`: the folder of past runs."""
         self.guard, self._fan = guard, fan
-        self._past = PastRuns(runs)
+        self._archive = Archive(runs)
         self._bridge: Bridge | None = None
         self._guests: Guests | None = None
         self._operator: Operator | None = None
         self._credentials: Path | None = None
+        self._kept: Hub | None = None
+        """The hub since which it was looked at whether somebody says how the run goes on."""
+        self._keeping: asyncio.Task[None] | None = None
         self._another = threading.Event()
         self._visitors: set[Visitor] = set()
-        self._files: dict[str, tuple[tuple[int, int], bytes, str]] = {}
+        self._files = PageFiles()
         routes = [
             Route("/", self._index),
             Route("/page/{path:path}", self._page),
-            Route("/runs", self._runs),
-            Route("/runs/{name}/hello", self._hello),
-            Route("/runs/{name}/rows", self._rows),
-            Route("/runs/{name}/at/{iteration:int}", self._at),
-            Route("/runs/{name}/picture/{iteration:int}", self._picture),
-            Route("/runs/{name}/files", self._list),
-            Route("/runs/{name}/files/{path:path}", self._file),
+            *self._archive.routes,
             WebSocketRoute("/live", self._live),
         ]
         self._inner = Starlette(routes=routes)
@@ -116,7 +101,8 @@ class Console:
             await send(message)
 
         if scope["type"] == "http" and token is not None:
-            await RedirectResponse(asked.url.path, 303)(scope, receive, send_with)  # out of the address and history
+            path = "/" + asked.url.path.lstrip("/")  # two of them would begin another site's address
+            await RedirectResponse(path, 303)(scope, receive, send_with)  # out of the address and history
             return
         await self._inner(scope, receive, send_with)
 
@@ -138,76 +124,10 @@ class Console:
     # ---- the page
 
     async def _index(self, request: Request) -> Response:
-        return self._static(request, "index.html")
+        return self._files.answer(request, "index.html")
 
     async def _page(self, request: Request) -> Response:
-        return self._static(request, request.path_params["path"])
-
-    def _static(self, request: Request, path: str) -> Response:
-        """Return a file of the page's folder; the browser asks each time whether it is another."""
-        kept = self._read(path)
-        if kept is None:
-            return PlainTextResponse(NOT_FOUND, 404)
-        content, tag, kind = kept
-        headers = {"ETag": tag, "Cache-Control": "no-cache"}
-        if request.headers.get("if-none-match") == tag:
-            return Response(status_code=304, headers=headers)
-        return Response(content, headers=headers, media_type=kind)
-
-    def _read(self, path: str) -> tuple[bytes, str, str] | None:
-        parts = path.split("/")
-        kind = KINDS.get(PurePosixPath(path).suffix)
-        if kind is None or any(part in ("", ".", "..") or "\0" in part for part in parts):
-            return None
-        file = PAGE.joinpath(*parts)
-        try:
-            seen = file.stat()
-            mark = (seen.st_mtime_ns, seen.st_size)
-            if (kept := self._files.get(path)) is None or kept[0] != mark:
-                content = file.read_bytes()
-                kept = (mark, content, f'"{hashlib.sha256(content).hexdigest()[:24]}"')
-                self._files[path] = kept
-        except OSError:
-            return None
-        return kept[1], kept[2], kind
-
-    # ---- past runs
-
-    async def _runs(self, _: Request) -> Response:
-        return await _answer(self._past.runs())
-
-    async def _hello(self, request: Request) -> Response:
-        rights: Rights = request.scope["rights"]
-
-        def greeting(run: Any) -> dict[str, Any]:
-            return {**run.hello(), "rights": rights._asdict()}
-
-        return await _answer(self._past.ask(request.path_params["name"], greeting))
-
-    async def _rows(self, request: Request) -> Response:
-        return await _answer(self._past.ask(request.path_params["name"], lambda run: run.rows()))
-
-    async def _at(self, request: Request) -> Response:
-        iteration = min(request.path_params["iteration"], MOST_ITERATION)
-        picture = "picture" in request.query_params
-        return await _answer(
-            self._past.ask(request.path_params["name"], lambda run: run.at(iteration, picture=picture))
-        )
-
-    async def _picture(self, request: Request) -> Response:
-        iteration = min(request.path_params["iteration"], MOST_ITERATION)
-        return await _answer(self._past.ask(request.path_params["name"], lambda run: run.picture(iteration)))
-
-    async def _list(self, request: Request) -> Response:
-        return await _answer(self._past.ask(request.path_params["name"], lambda run: run.files()))
-
-    async def _file(self, request: Request) -> Response:
-        try:
-            path = self._past.file(request.path_params["name"], request.path_params["path"])
-        except NoRunError as error:
-            return PlainTextResponse(str(error), 404)
-        kind = IMAGES.get(path.suffix, "application/octet-stream")
-        return FileResponse(path, media_type=kind, filename=path.name)
+        return self._files.answer(request, request.path_params["path"])
 
     # ---- the live socket
 
@@ -257,7 +177,7 @@ class Console:
         operator = self._operate(found)
         if isinstance(order, orders.ChangeRobot):
             return await asyncio.to_thread(operator.change, order.settings)
-        await asyncio.to_thread(operator.control, order, lambda: hub.control, hub.iteration)
+        await asyncio.to_thread(operator.control, order, hub)
         return "done"
 
     def _operate(self, found: Found) -> Operator:
@@ -290,9 +210,30 @@ class Console:
                     self._another.clear()
                     await self.leave("another run is shown now")
                 self._guests.tick()
+                self._keep_control()
             except Exception:
                 log.exception("telling of lessons failed")
             await asyncio.sleep(TICK_S)
+
+    def _keep_control(self) -> None:
+        """See to it that who comes late hears how the run goes on, and hears it from who said it last."""
+        hub, found = (self._bridge.hub, self._bridge.found) if self._bridge is not None else (None, None)
+        if hub is None or found is None or (self._keeping is not None and not self._keeping.done()):
+            return
+        operator = self._operator
+        if operator is not None and hub.hears_control and operator.is_behind(hub.control):
+            self._keeping = asyncio.create_task(asyncio.to_thread(operator.leave))
+        elif hub is not self._kept and hub.nobody_controls:
+            self._kept = hub
+            if found.run is not None and hub.control.is_usual:
+                return
+            self._keeping = asyncio.create_task(self._say_again(self._operate(found), hub))
+
+    async def _say_again(self, operator: Operator, hub: Hub) -> None:
+        try:
+            await asyncio.to_thread(operator.keep, hub)
+        except MdbError as error:  # the router is gone again, or these keys may not
+            log.info("how the run goes on is not said again", reason=str(error))
 
     async def leave(self, why: str = "the console ends") -> None:
         """End all lessons, and leave the router."""
@@ -304,7 +245,7 @@ class Console:
 
     async def close(self) -> None:
         """Let go of what is open."""
-        self._past.close()
+        self._archive.close()
 
 
 def _check_rights(rights: Rights, order: orders.ALL) -> None:
@@ -313,21 +254,6 @@ def _check_rights(rights: Rights, order: orders.ALL) -> None:
     if not (rights.operate if operates else rights.teach):
         role = "operator" if operates else "teacher"
         raise MdbError(f"this link lets you watch; for this you need the {role}'s link")
-
-
-async def _answer(asked: Awaitable[Any]) -> Response:
-    """Return an answer as JSON, or in words why there is none."""
-    try:
-        content = await asked
-    except NoRunError as error:
-        return PlainTextResponse(str(error), 404)
-    except BusyError as error:
-        return PlainTextResponse(str(error), 503)
-    except (MdbError, OSError) as error:
-        return PlainTextResponse(shown(error, 1000), 422)
-    return Response(
-        msgspec.json.encode(content), media_type="application/json", headers={"Cache-Control": "no-cache"}
-    )
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, words: str) -> None:

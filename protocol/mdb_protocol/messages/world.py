@@ -162,6 +162,11 @@ class Control(Message, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         check_finite("action_s", self.action_s)
 
+    @property
+    def is_usual(self) -> bool:
+        """Whether all is as the experiment file says."""
+        return not self.paused and self.action_s is None and self.script and not self.ended
+
 
 class Shape(Message, frozen=True, kw_only=True):
     """A part of a drawing, in the scene's own units: x to the right, y up.

@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
+import structlog
+
 from mdb_deploy.web.live.fan import Fan
 from mdb_deploy.web.live.finding import BRAIN
 from mdb_deploy.web.telling.story import Story
@@ -19,6 +21,8 @@ from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, MdbError, QueryError
 from mdb_services.recorder import read_log
+
+log = structlog.get_logger()
 
 ROLE, VIEWER = "web", "viewer"
 FRAME_S = 0.05
@@ -31,6 +35,8 @@ LOOK_S = 0.25
 """So often it is looked whether the router is there, and whether the story has become another with time."""
 ANSWER_S = 1.0
 """Bound on the memory store's answers."""
+SILENT_S = 1.0
+"""After so long without a word on how the run goes on there is nobody who would say it to who comes late."""
 HEARD = (
     keys.SCENE, keys.PERCEPTION, keys.PICTURE, keys.ACTION, keys.ITERATION, keys.CURRENT_MODEL, keys.PHASE,
     keys.LESSON, keys.CONTEXT, keys.COMMAND, keys.FEEDBACK, keys.MEMORY_CHANGE, keys.PAIR, keys.CONTROL, keys.TIMING,
@@ -54,12 +60,28 @@ class Hub:
         self._frame_s = self._look_s = self._cost_s = 0.0
         self._new = True
         self._frames = 0
-        self.iteration = 0
+        self._strange: set[str] = set()
+        self._listens_s: float | None = None
+        """Since when it takes what comes; None: not yet."""
+        self.hears_control = False
+        """Whether somebody has said over the bus how the run goes on, and so says it to who comes late."""
+
+    @property
+    def iteration(self) -> int:
         """The newest scene's."""
-        self.control = messages.Control(iteration=0)
-        """How the run goes on, as somebody said it last."""
-        self.finished = False
-        self.teachers: frozenset[str] = frozenset()
+        scene = self._story.heard.scene
+        return 0 if scene is None else scene.iteration
+
+    @property
+    def control(self) -> messages.Control:
+        """How the run goes on, as somebody said it last; the story knows it, which outlives this hub."""
+        return self._story.heard.control or messages.Control(iteration=0)
+
+    @property
+    def nobody_controls(self) -> bool:
+        """Whether nobody says any more how the run goes on, so that who comes late would not hear it."""
+        since_s = self._listens_s
+        return not self.hears_control and since_s is not None and time.monotonic() - since_s > SILENT_S
 
     def catch_up(self, run: Path, beat: Callable[[], None]) -> None:
         """Take from the run's log what was said before; what comes meanwhile waits. `beat` is called now and then."""
@@ -88,6 +110,7 @@ class Hub:
         """Take what has come; when it is time, hand frames to those who can take them."""
         moved = self._receive()
         now_s = time.monotonic()
+        self._listens_s = self._listens_s or now_s
         if now_s >= self._look_s:
             self._look_s, self._new = now_s + LOOK_S, True
             self._look()
@@ -105,6 +128,7 @@ class Hub:
         for row, inbox in self._inboxes:
             for message in inbox.some():
                 self._take(row, message)
+                self.hears_control = self.hears_control or row is keys.CONTROL
                 moved = True
         if (alive := self.bus.alive()) != self._alive:
             self._alive, moved = alive, True
@@ -112,14 +136,13 @@ class Hub:
         return moved
 
     def _take(self, row: keys.Key, message: messages.Message) -> None:
-        self._story.take(row, message)
-        if isinstance(message, messages.Scene):
-            self.iteration = message.iteration
-            self.finished = False
-        elif isinstance(message, messages.Control):
-            self.control = message
-        elif isinstance(message, messages.Finished):
-            self.finished = True
+        """Tell the story; a message that it cannot take must not keep the others from those who watch."""
+        try:
+            self._story.take(row, message)
+        except Exception:
+            if row.path not in self._strange:
+                log.exception("a message cannot be told", key=row.path)
+                self._strange.add(row.path)
 
     def _look(self) -> None:
         """Say what is wrong, if something is."""
@@ -127,7 +150,7 @@ class Hub:
         if not connected:
             self._story.trouble(ROUTER_GONE)
         else:
-            self._story.trouble(None if BRAIN in self._alive or self.finished else NO_BRAIN)
+            self._story.trouble(None if BRAIN in self._alive or self._story.heard.finished else NO_BRAIN)
 
     def _say_watched(self) -> None:
         """Say to the robot whether somebody watches."""

@@ -64,7 +64,7 @@ def hello(
         "phases": [{"start": phase.start, "name": phase.name, "teacher": phase.teacher} for phase in phases],
         "languages": {teacher: list(language.notes) for teacher, language in plan.languages.items()},
         "successes": list(experiment.robot.successes),
-        "changes": _changes(experiment),
+        "changes": changes_of(experiment),
         "patience_s": [brain.optimizer.command_patience_s, brain.optimizer.feedback_patience_s],
         "action_s": 0.0 if brain.lockstep else experiment.robot.action_s,
     }
@@ -89,7 +89,7 @@ def scale_hz(brain: BrainConfig, notes: int) -> list[float]:
     return [round(LOWEST_HZ * 2 ** (semitone / 12), 2) for semitone in semitones]
 
 
-def _changes(experiment: Experiment) -> list[str]:
+def changes_of(experiment: Experiment) -> list[str]:
     """Return what of the body can be changed while it runs. A real machine is not touched to ask it."""
     robot, folder = experiment.robot, experiment.folder
     try:

@@ -53,6 +53,8 @@ class Heard:
         self.words: str | None = None
         """What is wrong with the run."""
         self.finished = False
+        self._iterations = 0
+        """How many iterations there were when it was finished."""
         self.contexts: deque[m.ContextEvent] = deque(maxlen=MOST_CONTEXTS)
         self.timings: deque[float] = deque(maxlen=TIMINGS)
         self._timed = 0
@@ -176,6 +178,9 @@ class Heard:
             return
         self.report = report
         self._moved()
+        if self.finished and report.iteration >= self._iterations:  # with more iterations than it had it goes on
+            self.finished = False
+            self._new("finished")
         if report.teacher is not None and report.feedback is not None:
             self._learn_from(report.teacher)
         if self.action is not None and self.action.iteration == report.iteration:
@@ -241,7 +246,7 @@ class Heard:
             self._new("timing")
 
     def _take_finished(self, finished: m.Finished) -> None:
-        del finished
+        self._iterations = finished.iterations
         if not self.finished:
             self.finished = True
             self._moved()
