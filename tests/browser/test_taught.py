@@ -56,7 +56,11 @@ def test_a_lesson_is_taken_over_from_the_script_and_given_back(tmp_path: Path, v
         ann.page.wait_for_selector("text=“one” is being obeyed")
         ann.page.click("#take-over")
         ann.sees("s.control?.script === false")
+        # The one that was obeyed last says no more: nobody is told to watch while the robot waits for his note.
+        ann.page.wait_for_selector("#turn-words:has-text('Your turn')")
+        ann.page.wait_for_selector(".phases [aria-current]:has-text('first teacher · nobody')")
         ann.teach(3)
+        ann.page.wait_for_selector(".phases [aria-current]:has-text('first teacher · you')")
         ann.sees("s.you.obeyed === 'ann'")
         ann.page.wait_for_selector("text=/You are being obeyed|Your notes count/")
         bob.come("bob", take_over=False)
@@ -65,11 +69,68 @@ def test_a_lesson_is_taken_over_from_the_script_and_given_back(tmp_path: Path, v
         )
         bob.leave()
         ann.page.click("#give-back")
+        ann.sees("s.control?.script === true && s.you.paused")
+        ann.page.wait_for_selector("text=“one” is being obeyed. Your notes do not count")
+        ann.page.click("#take-over")
+        ann.sees("s.control?.script === false && !s.you.paused")
+        ann.teach(2)
+        ann.sees("s.you.obeyed === 'ann'")
+        ann.page.click("#give-back")
         ann.sees("s.control?.script === true")
         ann.leave()
         at = ann.iteration
         ann.sees("s.scene.iteration > a + 20", at)
         ann.sees("s.thought?.teacher === 'one' && s.thought.badge !== 'alone'")
+
+
+def test_after_a_lesson_the_script_stays_silent_until_it_is_asked(tmp_path: Path, visit: Open) -> None:
+    with console(tmp_path, *QUICK, "experiment.iterations=400", experiment="demo") as (_, address):
+        visitor = visit(address)
+        visitor.sees("s.scene?.iteration > 3")
+        visitor.come()
+        visitor.teach(2)
+        visitor.leave()
+        visitor.page.wait_for_selector("text=The scripted teacher stays silent until you give the robot back to it")
+        visitor.page.click("#pause")
+        visitor.sees("s.control?.paused")
+        visitor.page.click("#next-phase")
+        visitor.sees("s.control.ended.length === 1")
+        visitor.page.click("#pause")
+        visitor.sees("s.phase.name === 'alone'")
+        # What is over is short now, and who does not teach is not named.
+        widths = visitor.value(
+            "[...document.querySelectorAll('.phases li')].map((one) => parseFloat(one.style.flexGrow))"
+        )
+        assert widths[0] < 170
+        visitor.page.wait_for_selector(".phases li:has-text('second teacher · nobody')")
+        visitor.sees("s.finished")
+        assert visitor.value("s.rows.teacher.includes('teacher-2')") is False
+        visitor.page.click("#teach-run")
+        visitor.sees("s.mode === 'past' && s.moment === 399")
+
+
+def test_the_run_ends_while_somebody_teaches(tmp_path: Path, visit: Open) -> None:
+    with console(tmp_path, *QUICK, "experiment.iterations=25", options=("--no-teacher",)) as (_, address):
+        visitor = visit(address)
+        visitor.come()
+        visitor.teach(40)
+        visitor.sees("s.finished && !s.you?.name")
+        visitor.page.wait_for_selector("text=This is what came of your lesson")
+        assert "Notes you played" in visitor.page.inner_text("#teach")
+
+
+def test_actions_of_ranges_have_room_for_their_bars(tmp_path: Path, visit: Open) -> None:
+    with console(tmp_path, "optimizer.random_iterations=10", experiment="arm") as (_, address):
+        visitor = visit(address)
+        visitor.sees("s.thought?.actions?.length > 9")
+        assert visitor.page.inner_text("#bars-of") == "base, shoulder, elbow (rad)"
+        boxes = [visitor.page.locator(f"#bars li >> nth=0 >> {part}").bounding_box() for part in (".label", ".track")]
+        assert all(boxes)
+        assert boxes[1]["width"] > 100  # type: ignore[index]
+        axis, key = (visitor.page.locator(part).bounding_box() for part in (".axis", "#choosing > .key"))
+        assert axis
+        assert key
+        assert axis["y"] + axis["height"] <= key["y"]
 
 
 def test_who_comes_back_as_somebody_else_speaks_another_language(tmp_path: Path, visit: Open) -> None:

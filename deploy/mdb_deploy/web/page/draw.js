@@ -226,13 +226,13 @@ export function named(name) {
   return String(name).replaceAll(".", " ").replaceAll("_", " ");
 }
 
-/** The words of names without what all of them begin with, up to a "_", "." or space: "turn_base" is "base". */
+/** Names without the words that all of them begin with: "turn_base" is "base". A mere number keeps its words. */
 export function withoutCommon(names) {
   const first = names[0] ?? "";
   let end = 0;
   for (let i = 0; names.length > 1 && i < first.length && names.every((name) => name[i] === first[i]); i++)
     if (/[_. ]/.test(first[i])) end = i + 1;
-  return names.map((name) => named(name.slice(end)));
+  return names.map((name, _, all) => named(all.some((one) => /^\d*$/.test(one.slice(end))) ? name : name.slice(end)));
 }
 
 /**

@@ -120,7 +120,7 @@ class Teach {
     if (whyNot !== null || !this._hello) return;
     const operates = Boolean(this._hello.rights?.operate);
     const goals = (this._hello.successes ?? []).map((name) => `“${named(name)}”`).join(" or ");
-    say(this._goal, goals ? `Lead it to its goal: ${goals}. A hint tells which note is right.` : "A hint tells which note is right.");
+    say(this._goal, goals ? `Help it to a success: ${goals}. A hint tells which note is right.` : "A hint tells which note is right.");
     show(this._takesRow, operates && scripted(state) && state.control?.script !== false);
     say(this._title, there ? `You teach ${this._hello.brain}, as ${you.name}` : "Teach");
     if (there) {

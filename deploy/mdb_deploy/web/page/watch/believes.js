@@ -61,6 +61,7 @@ export function start(root, { state, on }) {
       }),
     );
     focus = [0, 0];
+    table.dataset.many = beliefs.actions.length > 10 ? "yes" : "no";
     body.replaceChildren(
       ...beliefs.notes.map((note, i) =>
         el("tr", {}, el("th", { scope: "row" }, noteName(note)), ...cells[i].map((one) => one.cell)),

@@ -101,7 +101,6 @@ export function start(root, page) {
       if (drawing) take(view, drawing, state.mode, box.clientWidth / Math.max(1, box.clientHeight));
       else view.after = null;
     }
-    show(waiting, !picture && !state.scene);
     tellNumbers();
     tellKey(key, drawing);
     touch();
@@ -113,7 +112,8 @@ export function start(root, page) {
   const tellNumbers = () => {
     const bare = !state.picture?.drawing && !state.picture?.image && Boolean(state.scene);
     show(numbers, bare);
-    show(waiting, !state.picture && !state.scene);
+    show(waiting, bare || (!state.picture && !state.scene));
+    say(waiting, bare ? "There is no picture of this machine. These are its numbers:" : "Waiting for the first picture.");
     if (bare) facts(numbers, Object.entries(state.scene.now));
   };
   let flashed = null;
@@ -134,7 +134,7 @@ export function start(root, page) {
     clearTimeout(timer);
     timer = setTimeout(() => (flash.dataset.on = "no"), FLASH_MS);
   });
-  const sensesTouch = painter(senses, () => facts(senses, readings(state.perception?.reading, state.scene)));
+  const sensesTouch = painter(senses, () => facts(senses, readings(state.perception?.reading, state.scene, numbers.hidden ? {} : state.scene?.now)));
   on("perception", sensesTouch);
   on("scene", sensesTouch);
 }
@@ -257,8 +257,11 @@ function trail(context, points) {
   context.globalAlpha = 1;
 }
 
-function readings(reading, scene) {
-  const told = Object.entries(reading ?? {}).slice(0, MOST_READINGS);
+/** What is told below the picture; what is told `instead` of it is not told again. */
+function readings(reading, scene, instead) {
+  const told = Object.entries(reading ?? {})
+    .filter(([name]) => !(name in (instead ?? {})))
+    .slice(0, MOST_READINGS);
   if (scene) told.push(["episode", scene.episode], ["successes", scene.successes]);
   return told;
 }
