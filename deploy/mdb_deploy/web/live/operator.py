@@ -36,6 +36,8 @@ HEARD_S, LOOK_S = 2.0, 0.005
 """Bound on hearing ourselves what was said, and how often it is looked for."""
 BUSY_S = 3.0
 """Bound on waiting for the order before."""
+BEHIND_S = 1.0
+"""So long after our word another's is not taken for one that came before it."""
 TEACHER = "teacher/script"
 
 
@@ -107,7 +109,7 @@ class Operator:
     def is_behind(self, control: messages.Control) -> bool:
         """Whether another has said something else after us: then what we said is to be said no more."""
         said_s = time.monotonic() - self._said_s
-        return self._said is not None and control != self._said and said_s > HEARD_S and not self._lock.locked()
+        return self._said is not None and control != self._said and said_s > BEHIND_S and not self._lock.locked()
 
     def _say(self, control: messages.Control) -> None:
         self._controls.put(control)
