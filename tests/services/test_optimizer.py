@@ -946,6 +946,26 @@ def test_however_often_a_teacher_asks_there_is_an_end(row: keys.Key) -> None:
     assert sum(rig.gave_up().values()) == 1
 
 
+def test_feedback_and_the_next_command_are_waited_for_no_longer_together() -> None:
+    rig = Rig()
+    rig.sense(0)
+    rig.command(0)
+    rig.sense(1)
+    rig.said(keys.ACTION)
+    for _ in range(400):
+        rig.now += 1.0
+        ask(rig, keys.FEEDBACK, 0)
+    rig.reward(0, 0.5)
+    for _ in range(int(MOST_ASKED_S) - 401):
+        rig.now += 1.0
+        ask(rig, keys.COMMAND, 1)
+    assert rig.said(keys.ACTION) == []
+    for _ in range(2):
+        rig.now += 1.0
+        ask(rig, keys.COMMAND, 1)
+    assert {sent.iteration for sent in rig.said(keys.ACTION)} == {1}
+
+
 def test_an_impatient_brain_waits_for_who_asks_once_a_second_too() -> None:
     rig = Rig(config(optimizer=OPTIMIZER | {"command_patience_s": 0.3}))
     rig.sense(0)

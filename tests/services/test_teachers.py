@@ -181,6 +181,14 @@ def test_who_asks_in_vain_because_another_is_obeyed_or_he_is_gone_is_not_waited_
     assert teachers.asked_s(2, BEN) == -math.inf
 
 
+def test_who_asks_and_was_never_there_is_not_waited_for() -> None:
+    teachers = Teachers("first")
+    teachers.hear(command("b", 0, None))
+    teachers.ask(later("ghost", 0), 5.0)
+    assert teachers.settled(0, BEN)
+    assert teachers.asked_s(0, BEN) == -math.inf
+
+
 def test_feedback_to_come_is_no_answer() -> None:
     teachers = Teachers("first")
     teachers.ask(Feedback(teacher="a", iteration=3, value=None, later=True), 5.0)

@@ -1,4 +1,4 @@
-"""How the run goes on, as operators say it by the page: what holds is known after any death, and said to who is late."""
+"""How the run goes on, as operators say it by the page: it is known after any death, and heard by who is late."""
 
 from __future__ import annotations
 
@@ -161,8 +161,8 @@ def test_what_holds_is_known_after_the_router_was_away(tmp_path: Path) -> None:
 def test_the_last_phase_cannot_be_ended(tmp_path: Path) -> None:
     folder = run_folder(tmp_path / "runs" / "now", "teacher.phase.alone.start=5")
     with router() as running, Played(running.endpoint()) as brain:
+        brain.show(1999)
         with Console(options_of(running.endpoint(), folder)) as console, Page(console) as page:
-            brain.show(1999)
             joined(page)
             refused = page.ask(do="control", end_phase=True)
             assert not refused["ok"]

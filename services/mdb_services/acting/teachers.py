@@ -107,9 +107,9 @@ class Teachers:
         return -math.inf if teacher is None else asked.get(teacher, -math.inf)
 
     def _pending(self, iteration: int, present: set[str]) -> dict[str, float]:
-        """Return who asked to be waited for and has not said his command yet, and when; who is gone is left out."""
+        """Return who asked to be waited for and has not said his command yet, and when; who has no token is not there."""
         said, asked = self._commands.get(iteration, {}), self._asked.get(iteration, {})
-        return {who: s for who, s in asked.items() if who not in said and not self._is_gone(who, present)}
+        return {who: s for who, s in asked.items() if who not in said and f"{ROLE}/{who}" in present}
 
     def _is_gone(self, teacher: str, present: set[str]) -> bool:
         """A scripted teacher has no token of its own, only its process has: it goes when nobody is left."""

@@ -21,7 +21,8 @@ log = structlog.get_logger()
 ASKED_S = 2.0
 """A teacher who asks to be waited for is waited for at least so long, for he asks about once a second (ours)."""
 MOST_ASKED_S = 600.0
-"""For one command, or one feedback, a teacher is waited for so long at most, however often he asks (ours)."""
+"""From one perception on, for the feedback and the next command, it is waited so long at most, however often somebody
+asks for it (ours)."""
 
 
 class Waits:
@@ -59,6 +60,7 @@ class Waits:
             deciding.begun_s,
             patience_s,
             asked_s=self._teachers.asked_s(iteration, alive),
+            perceived_s=deciding.started_s,
         )
 
     def for_feedback(self, acted: Acting, outcome_s: float) -> bool:
@@ -74,6 +76,7 @@ class Waits:
                 outcome_s,
                 patience_s,
                 asked_s=self._teachers.asked_feedback_s(acted.iteration, teacher),
+                perceived_s=outcome_s,
             )
         )
 
@@ -92,14 +95,16 @@ class Waits:
         patience_s: float,
         *,
         asked_s: float = -math.inf,
+        perceived_s: float = -math.inf,
     ) -> bool:
         """Whether to wait on; in lockstep with its own patience, since a slow machine must not change the run.
 
-        `asked_s`: when who is waited for asked for it last; from then on he has his time anew.
+        `asked_s`: when who is waited for asked for it last; from then on he has his time anew, but not for longer
+        than `MOST_ASKED_S` after `perceived_s`, when what he is to answer was shown.
         """
         if self._lockstep:
             patience_s = max(patience_s, self._settings.lockstep_patience_s)
-        asked_until_s = min(asked_s + max(patience_s, ASKED_S), since_s + MOST_ASKED_S)
+        asked_until_s = min(asked_s + max(patience_s, ASKED_S), perceived_s + MOST_ASKED_S)
         if self._clock() < max(since_s + patience_s, asked_until_s):
             return True
         if what not in gave_up:
