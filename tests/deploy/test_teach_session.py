@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from mdb_deploy.experiments import experiment_path
+from mdb_deploy.teach.presence import WITHOUT_EFFECT
 from mdb_deploy.teach.record import ERROR_MEAN, KEPT, OBEDIENCE_OF, SUCCESSES_IN
 from mdb_deploy.teach.screen import panel
-from mdb_deploy.teach.session import WITHOUT_EFFECT, TeachingSession
+from mdb_deploy.teach.session import MOST_ORDERS, MOST_SOUND, TeachingSession
 from mdb_deploy.teach.turns import AGAIN_S, MOST_S
 from mdb_deploy.teach.view import Summary, Turn, View, swapped
 from mdb_protocol import keys, messages
@@ -695,3 +696,18 @@ def test_the_summary_is_of_all_that_the_teacher_lived() -> None:
         first=0.5,
         last=1.0,
     )
+
+
+def test_while_a_router_hangs_what_is_ordered_and_heard_needs_bounded_memory() -> None:
+    rig = Rig(listens=True)
+    rig.show(scene(0))
+    for _ in range(3 * MOST_SOUND):
+        rig.session.microphone(np.zeros(8, np.int16), 16_000)
+    assert rig.session._orders.qsize() == MOST_SOUND
+    rig.session.command(2)
+    for _ in range(2 * MOST_ORDERS):
+        rig.session.pause()
+    assert rig.session._orders.qsize() == MOST_ORDERS
+    assert set(rig.bus.refusals.dropped) == {keys.AUDIO.path, keys.COMMAND.path}
+    rig.step()
+    assert rig.said()[0] == (0, 2), "sound does not keep out a note"

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mdb_deploy.teach.presence import Presence
 from mdb_deploy.teach.record import Record
 from mdb_deploy.teach.turns import Patience, Turns
 from mdb_deploy.teach.view import View
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Bus
-from mdb_protocol.errors import BusError
 from mdb_sim.teaching.languages import Language
 from mdb_sim.teaching.policies.pioneer import Reach
 from mdb_sim.teaching.policies.plain import Named
@@ -31,12 +31,8 @@ from mdb_sim.teaching.policy import Policy, done, judgement, likest, shows
 from mdb_sim.teaching.service import ROLE
 from mdb_sim.teaching.sound import Player
 
-BRAIN_ROLE, EAR_ROLE = "optimizer", "ear"
-"""Whose liveliness token means that a brain is at work, and that somebody listens to sound."""
-WITHOUT_EFFECT = 3
-"""Commands in a row that no report shows before the teacher is told (ours)."""
-ADMISSION_S = 3.0
-"""Bound on asking whether others see this teacher."""
+MOST_ORDERS, MOST_SOUND = 1000, 64
+"""Orders that wait, and of sound pieces at most so many of them: while a router hangs, more are dropped."""
 
 
 class TeachingSession:
@@ -68,11 +64,11 @@ class TeachingSession:
         """
         self.bus, self.instance, self.policy = bus, name, policy or Reach()
         self._view = self.view = View(language, auto=auto)
-        self._auto, self._player, self._sounds, self._clock = auto, player, listens or player is not None, clock
+        self._auto, self._player, self._clock = auto, player, clock
         self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._record = Record(name)
         self._turns = Turns(name, None if patience_s is None else Patience(*patience_s))
-        self._admitted: bool | None = None
+        self._presence = Presence(bus, name, sounds=listens or player is not None)
         self._scenes = bus.subscriber(keys.SCENE)
         self._pictures = bus.subscriber(keys.PICTURE)
         self._perceptions = bus.subscriber(keys.PERCEPTION)
@@ -117,16 +113,19 @@ class TeachingSession:
 
     def microphone(self, samples: NDArray[np.int16], rate_hz: int) -> None:
         """Pass on what a microphone hears, samples (n,); from any thread."""
-        self._order(partial(self._sound, samples, rate_hz))
+        self._order(partial(self._sound, samples, rate_hz), keys.AUDIO, MOST_SOUND)
 
-    def _order(self, order: Callable[[], None]) -> None:
-        self._orders.put(order)
+    def _order(self, order: Callable[[], None], row: keys.Key = keys.COMMAND, most: int = MOST_ORDERS) -> None:
+        if self._orders.qsize() < most:
+            self._orders.put(order)
+        else:
+            self.bus.refusals.drop(row.path, f"{most} orders of the teacher wait; one more is not taken")
         self.bus.poke()
 
     def step(self) -> bool:
         """Take what has come, say what was ordered, renew the view."""
         moved = self._receive()
-        while not self._orders.empty():
+        for _ in range(self._orders.qsize()):
             self._orders.get_nowait()()
             moved = True
         if moved:
@@ -135,7 +134,8 @@ class TeachingSession:
         self._ask_to_wait()
         self.view = self._view  # before the router is asked, which may take its time
         alive = self.bus.alive()
-        self._show(others=self._others(alive), trouble=self._trouble(alive))
+        trouble = self._presence.trouble(self._view, alive, self._record.without_effect)
+        self._show(others=self._presence.others(alive), trouble=trouble)
         self.view = self._view
         return moved
 
@@ -319,45 +319,6 @@ class TeachingSession:
 
     def _notice(self, text: str) -> None:
         self._show(notice=text, noticed_s=self._clock())
-
-    def _others(self, alive: frozenset[str]) -> tuple[str, ...]:
-        teachers = (name.partition("/") for name in sorted(alive))
-        return tuple(instance for role, _, instance in teachers if role == ROLE and instance != self.instance)
-
-    def _trouble(self, alive: frozenset[str]) -> str | None:
-        """Say why nothing that this teacher says can come through, or has; None also when all is over."""
-        if self._view.finished:
-            return None
-        if f"{ROLE}/{self.instance}" not in alive:
-            self._admitted = None
-            return "the router is gone; everything goes on by itself when it is back"
-        if not self._is_admitted():
-            return f"the router does not let you in as {self.instance}: keys that were removed, or another's?"
-        roles = {name.partition("/")[0] for name in alive}
-        if BRAIN_ROLE not in roles:
-            return f"no brain is at work as {self.bus.brain}; 'mdb up --no-teacher' starts one"
-        if self._sounds and EAR_ROLE not in roles:
-            return "nobody listens to sound; the brain gets an ear by 'mdb up --set ear.detector=template'"
-        return self._unheard() if self._record.without_effect >= WITHOUT_EFFECT else None
-
-    def _unheard(self) -> str:
-        """Say why reports do not show this teacher's commands."""
-        holder = self._view.report.holder if self._view.report else None
-        if holder not in (None, self.instance):
-            return f"{holder} is being obeyed: the brain does not hear your commands until {holder} is silent or gone"
-        return (
-            f"your commands do not arrive: the router does not let you teach as {self.instance}, "
-            "or your notes come too late"
-        )
-
-    def _is_admitted(self) -> bool:
-        """Ask whenever the router has come: with keys it denies without a word, and this bus sees its own token."""
-        if self._admitted is None:
-            try:
-                self._admitted = self.bus.admitted(ROLE, self.instance, ADMISSION_S)
-            except BusError:
-                return True  # the router is gone again, which is told once its tokens are
-        return self._admitted
 
     def values(self) -> dict[str, float]:
         """Last iteration seen, obedience (-1: nothing commanded yet) and the commands it is the share of."""

@@ -107,7 +107,7 @@ class Teachers:
         return -math.inf if teacher is None else asked.get(teacher, -math.inf)
 
     def _pending(self, iteration: int, present: set[str]) -> dict[str, float]:
-        """Return who asked to be waited for and has not said his command yet, and when; who has no token is not there."""
+        """Return who asked to be waited for and has not said his command yet, and when; who has no token is gone."""
         said, asked = self._commands.get(iteration, {}), self._asked.get(iteration, {})
         return {who: s for who, s in asked.items() if who not in said and f"{ROLE}/{who}" in present}
 
