@@ -1,5 +1,6 @@
 // After a lesson: what came of it, and what the robot does since then.
 
+import { named } from "../draw.js";
 import { button, el, say } from "./dom.js";
 
 /** Whether a script of the experiment teaches in this run, or would if it were let. */
@@ -78,7 +79,9 @@ export class Left {
     const { scene } = state;
     if (!this._from || !scene || scene.iteration <= this._from.iteration) return; // nothing yet, or another run
     const what = this._hello?.successes?.length === 1 ? this._hello.successes[0] : "success";
-    say(this._since, `Since you left: ${scene.successes - this._from.successes} times “${what}” in ${scene.iteration - this._from.iteration} actions.`);
+    const count = (number, word) => `${number} ${word}${number === 1 ? "" : "s"}`;
+    const [times, actions] = [scene.successes - this._from.successes, scene.iteration - this._from.iteration];
+    say(this._since, `Since you left: ${count(times, "time")} “${named(what)}” in ${count(actions, "action")}.`);
   }
 
   _tellNow(state, taught) {

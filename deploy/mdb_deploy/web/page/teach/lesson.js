@@ -165,7 +165,7 @@ export class Lesson {
     const { tools } = now;
     const turn = you.turn ?? { kind: "watch", iteration: 0, left_s: null };
     const rival = rivalOf(hello, you, now);
-    this._showTurn(hello, you, turn, rival);
+    this._showTurn(hello, you, turn, rival, Boolean(now.control?.paused));
     this._showCounts(you, now, rival, new Set((hello.phases ?? []).map((each) => each.teacher)));
     this._showJudge(hello, you, turn);
     this._showPlay(hello, you, turn);
@@ -188,12 +188,13 @@ export class Lesson {
     }
   }
 
-  _showTurn(hello, you, turn, rival) {
+  _showTurn(hello, you, turn, rival, halted) {
     const another = rival !== null && turn.kind !== "over";
     const mine = you.paused ? "You stay silent. It goes on without you."
+      : halted && turn.kind !== "over" ? "The robot is paused. Press “Go on” under “Try”."
       : another ? "Watch: somebody else is being obeyed." : TURNS[turn.kind] ?? TURNS.watch;
     say(this._words, mine);
-    this.root.dataset.turn = you.paused || another ? "watch" : turn.kind;
+    this.root.dataset.turn = you.paused || another || halted ? "watch" : turn.kind;
     const left_s = turn.left_s;
     if (left_s === null || left_s === undefined || you.waits || you.paused) {
       this._until_ms = null;
@@ -208,7 +209,7 @@ export class Lesson {
       }
     }
     this._turn = `${turn.iteration} ${turn.kind}`;
-    this._waiting = Boolean(you.waits) && !you.paused && !another && ["play", "judge", "both"].includes(turn.kind);
+    this._waiting = Boolean(you.waits) && !you.paused && !another && ["play", "judge", "both"].includes(turn.kind) && !halted;
   }
 
   /** Draw the time that is left; called for each picture of the screen. */

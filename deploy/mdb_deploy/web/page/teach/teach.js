@@ -193,8 +193,13 @@ class Teach {
     this._left.clear();
     queueMicrotask(() => {
       this._lesson.root.focus({ preventScroll: true });
-      if (window.matchMedia("(max-width: 719px)").matches) this._root.scrollIntoView();
+      this._scroll();
     });
+  }
+
+  /** On a phone the panel is brought to where it can be seen. */
+  _scroll() {
+    if (window.matchMedia("(max-width: 719px)").matches) this._root.scrollIntoView();
   }
 
   async _leave() {
@@ -207,7 +212,10 @@ class Teach {
     if (this._returning || this._coming) return; // the connection was lost, not the will: see `_return`
     this._me = null;
     this._left.tell(this._hello, you?.summary, you?.trouble);
-    queueMicrotask(() => this._left.root.focus({ preventScroll: true }));
+    queueMicrotask(() => {
+      this._left.root.focus({ preventScroll: true });
+      this._scroll();
+    });
   }
 
   /** The connection is lost. When it is back within a minute the lesson goes on, under the same name. */

@@ -153,6 +153,7 @@ export function told(state) {
   }
   if (mode === "past") title = `Past run · ${title}`;
   else if (finished) title = `The run is over · ${title}`;
+  else if (control?.paused && kind === "waits") return { kind, title: "Paused", text: "The robot stands still." };
   else if (control?.paused) title = `Paused · ${title}`;
   else if (!thought && hello !== undefined && hello.experiment.name === "") {
     return { kind, title: "No brain runs now", text: "You can look at past runs." };

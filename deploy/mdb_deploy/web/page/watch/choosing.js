@@ -5,8 +5,6 @@ import { own, who } from "./badge.js";
 
 /** Actions of which each bar is drawn thin. */
 const MANY = 9;
-/** Bars glide, but not when the next ones come within this: they would never show what is. */
-const FAST_MS = 300;
 /** A bar is seen at least so much, however little supports it. */
 const FAINTEST = 0.22;
 
@@ -47,7 +45,6 @@ export function start(root, { state, on }) {
   root.append(empty, situation, chart, key, outcome, why);
 
   let made = [];
-  let painted = -Infinity;
   let shape = "";
   const paint = () => {
     const thought = state.thought;
@@ -70,9 +67,6 @@ export function start(root, { state, on }) {
     }
     show(chart, actions.length > 0);
     show(key, actions.length > 0);
-    const now = performance.now();
-    bars.dataset.fast = now - painted < FAST_MS ? "yes" : "no";
-    painted = now;
     const most = Math.max(
       1,
       ...actions.map((one) => Math.abs(one.satisfaction ?? 0)),
