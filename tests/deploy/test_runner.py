@@ -142,6 +142,19 @@ def test_what_is_not_to_be_started_again_ends_the_run(tmp_path: Path) -> None:
     run(lambda: Rig(tmp_path, DIES, restarts=False), check)
 
 
+def test_without_what_is_not_needed_the_run_goes_on_and_it_is_told(tmp_path: Path) -> None:
+    async def check(rig: Rig) -> None:
+        rig.child.spec = replace(rig.child.spec, needed=False)
+        given_up: list[str] = []
+        rig.runner.on_given_up = given_up.append
+        await rig.runner.start()
+        await until(lambda: given_up)
+        assert given_up == ["one"]
+        assert not rig.runner.failed.done()
+
+    run(lambda: Rig(tmp_path, "raise SystemExit(2)"), check)
+
+
 def test_the_first_restart_is_immediate_and_later_ones_wait_ever_longer() -> None:
     spec = ProcessSpec("one", ("true",), (), "role/one", {}, True)
     waits = [Child(spec, Path("log"), quick_deaths=n).backoff_s for n in range(QUICK_DEATHS)]

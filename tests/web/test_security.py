@@ -6,7 +6,9 @@ import json
 import socket
 import ssl
 import stat
+import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +17,9 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 from mdb_deploy.keys.credentials import KeyFolder
+from mdb_deploy.web import serve
 from mdb_deploy.web.guard import TOKENS_FILE, Guard, RefusedError, Site, tokens_in
-from mdb_deploy.web.opening import PORT, Place, WebOptions, bind, check
+from mdb_deploy.web.opening import PORT, Place, WebOptions, bind, check, guard_of
 from mdb_protocol import keys
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.roles import Role
@@ -36,6 +39,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "figures").mkdir()
     (folder / "figures" / "a.png").write_bytes(b"\x89PNG")
     (folder / ".hidden").write_text("hidden")
+    (folder / "memory.sqlite").write_text("a database")
+    (folder / "key.pem").write_text("secret")
     secret = base.parent / "secret.txt"
     secret.write_text("secret")
     (folder / "out.txt").symlink_to(secret)
@@ -126,6 +131,7 @@ def test_no_other_folder_is_read(console: Console, path: str) -> None:
     [
         "out.txt", "outside/secret.txt", "../../secret.txt", "%2e%2e/%2e%2e/secret.txt", ".hidden", "figures", "",
         "figures/../../../secret.txt", "/etc/passwd", "%2fetc%2fpasswd", "run.mcap%00", "none",
+        "memory.sqlite", "key.pem",
     ],
 )  # fmt: skip
 def test_no_other_file_is_downloaded(console: Console, path: str) -> None:
@@ -236,6 +242,15 @@ def test_a_link_becomes_a_cookie_and_leaves_the_address(locked: Locked) -> None:
         assert client.get(locked.console.at).status_code == 200
 
 
+def test_a_link_leads_to_no_other_site(locked: Locked) -> None:
+    client = locked.client("viewer")
+    for path in ("//evil.example/", "///evil.example/a", "/%2fevil.example/", "/\\evil.example"):
+        at = f"{locked.console.at.rstrip('/')}{path}?token=wrong"
+        answer = client.get(at, follow_redirects=False)
+        assert answer.status_code == 303
+        assert not answer.headers["location"].startswith(("//", "/\\", "http")), path
+
+
 def test_each_link_lets_do_what_its_role_may(locked: Locked) -> None:
     def rights(page: Page) -> tuple[bool, bool]:
         found = page.until(lambda state: state.get("hello", {}).get("live"))["hello"]["rights"]
@@ -305,3 +320,39 @@ def test_a_viewers_bundle_shows_the_brain_and_no_more(tmp_path: Path) -> None:
             assert not page.ask(do="join", name="tom")["ok"]
         assert "viewer/tom" in brain.alive()
     router.close()
+
+
+def test_a_bundle_is_shown_by_the_same_links_in_each_process_and_lets_do_no_more(tmp_path: Path) -> None:
+    folder = KeyFolder.create(tmp_path / "keys", BRAIN)
+    bundles = {
+        Role.VIEWER: folder.add(Role.VIEWER, "tom"),
+        Role.OPERATOR: folder.add(Role.OPERATOR, "olga"),
+        Role.BRAIN: folder.path / "brains" / f"{BRAIN}.pem",
+    }
+    links = {role: guard_of(WebOptions(Place(keys=path)), 1).links() for role, path in bundles.items()}
+    assert links == {role: guard_of(WebOptions(Place(keys=path)), 1).links() for role, path in bundles.items()}
+    assert {role: set(found) for role, found in links.items()} == {
+        Role.VIEWER: {"viewer"},
+        Role.OPERATOR: {"viewer", "operator"},
+        Role.BRAIN: {"viewer", "teacher", "operator"},
+    }
+    assert len({link for found in links.values() for link in found.values()}) == 6
+    guard = guard_of(WebOptions(Place(keys=bundles[Role.OPERATOR])), 1)
+    assert guard.tokens is not None
+    assert guard.rights(guard.tokens["operator"], None) == (False, True), "an operator's bundle cannot teach"
+    assert any("to watch and operate" in line for line in guard.lines())
+
+
+def test_a_connection_without_a_request_is_closed(console: Console, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serve, "REQUEST_S", 0.2)
+    site = console.guard.site
+    for beginning in (b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\nGET / HT"):
+        with socket.create_connection((site.host, site.port), BOUND_S) as link:
+            link.sendall(beginning)
+            with suppress(ConnectionError):
+                while link.recv(65536):
+                    pass
+    with Page(console) as page:
+        page.until(lambda state: "hello" in state)
+        time.sleep(0.5)
+        assert not page.ask(do="leave")["ok"], "a socket stays"

@@ -53,7 +53,7 @@ class Web:
     run is over.
 
     The socket is held here and given to each process that serves the page: nobody else can take the port, and who
-    comes while the page is started again waits a moment.
+    comes while the page is started again waits a moment. When it cannot be started any more the socket is closed.
     """
 
     listening: socket.socket
@@ -62,6 +62,15 @@ class Web:
     runs: Path
     on_open: Callable[[], None]
     on_stay: Callable[[], None]
+
+    def end(self) -> None:
+        """Serve no more: who comes is refused at once, instead of waiting for ever."""
+        self.listening.close()
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is served no more."""
+        return self.listening.fileno() < 0
 
     @property
     def listen(self) -> str:
@@ -207,6 +216,8 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress, on
     if options.connect is None:
         watch.on_endpoint = lambda found: runner.connect(found, endpoints.with_port_of(options.listen, found))
     watch.on_unheard = runner.replace_router
+    if options.web is not None:
+        runner.on_given_up = lambda _, web=options.web: web.end()
     status = 0
     try:
         if options.connect is not None:
@@ -227,8 +238,9 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress, on
         if options.web is not None and status == 0:
             await runner.stop_but(WEB, ROUTER)
             await asyncio.to_thread(on_over)
-            options.web.on_stay()
-            await _serve_on(watch, runner, stop)
+            if not options.web.ended:
+                options.web.on_stay()
+                await _serve_on(options.web, watch, runner, stop)
             return 0
     finally:
         await runner.stop()
@@ -236,9 +248,9 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress, on
     return ENDED_BY_USER if stop.is_set() else status
 
 
-async def _serve_on(watch: Watch, runner: Runner, stop: asyncio.Event) -> None:
-    """Go on with the page until told to stop."""
-    while not stop.is_set() and not runner.failed.done():
+async def _serve_on(web: Web, watch: Watch, runner: Runner, stop: asyncio.Event) -> None:
+    """Go on with the page until told to stop, or until it cannot be served any more."""
+    while not (stop.is_set() or web.ended or runner.failed.done()):
         watch.alive()
         await asyncio.sleep(POLL_S)
 

@@ -6,11 +6,13 @@ link of its own, with a secret in it that the browser keeps as a cookie. Pure bu
 
 from __future__ import annotations
 
+import base64
 import hmac
 import json
 import re
 import secrets
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from typing import NamedTuple
@@ -26,8 +28,6 @@ HOST = re.compile(r"(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[A-Za-z0-9._-]+))(?:
 """A host as a browser says it, perhaps with its port."""
 TOKENS_FILE = "web.tokens"
 ROLES = ("viewer", "teacher", "operator")
-TO = {"viewer": "to watch", "teacher": "to watch and teach", "operator": "to do everything"}
-"""What each role's link is for."""
 TOKEN_BYTES = 24
 MOST_BYTES = 4096
 """Of the file with the tokens."""
@@ -42,6 +42,13 @@ class Rights(NamedTuple):
 
 EVERYTHING = Rights(teach=True, operate=True)
 OF_ROLE = {"viewer": Rights(False, False), "teacher": Rights(True, False), "operator": EVERYTHING}
+TO = {
+    OF_ROLE["viewer"]: "to watch",
+    OF_ROLE["teacher"]: "to watch and teach",
+    Rights(teach=False, operate=True): "to watch and operate",
+    EVERYTHING: "to do everything",
+}
+"""What a link is for."""
 
 
 class RefusedError(Exception):
@@ -77,6 +84,8 @@ class Guard:
     """The secret in each role's link; None: everyone who can open the page may do everything."""
     known_as: str | None = None
     """The host in the links, where it is another than the one that is listened at."""
+    of_role: Mapping[str, Rights] = field(default_factory=lambda: OF_ROLE)
+    """What the holder of each role's link may do."""
 
     @property
     def cookie(self) -> str:
@@ -102,7 +111,7 @@ class Guard:
             return EVERYTHING
         for said in (token, self._in_cookie(cookie)):
             if said is not None and (role := self.role_of(said)) is not None:
-                return OF_ROLE[role]
+                return self.of_role[role]
         raise RefusedError(
             "this console is for those who have a link to it: ask who started it for a link, "
             "which ends with ?token= and letters; links of an earlier key folder are not valid any more"
@@ -134,7 +143,7 @@ class Guard:
         """Return what is said of the page to who has started it."""
         if self.tokens is None:
             return [f"page: {link}" for link in self.links().values()]
-        return [f"page {TO[role]}: {link}" for role, link in self.links().items()]
+        return [f"page {TO[self.of_role[role]]}: {link}" for role, link in self.links().items()]
 
     def headers(self, host: str) -> dict[str, str]:
         """Return what each answer says of what a page of ours may load: from here, and from nowhere else."""
@@ -170,6 +179,12 @@ def tokens_in(folder: Path) -> dict[str, str]:
     if not (isinstance(found, dict) and set(found) == set(ROLES) and all(_is_token(t) for t in found.values())):
         raise ConfigError(f"{path} does not hold the links' tokens; remove it, and new ones are made")
     return found
+
+
+def tokens_of(secret: bytes, roles: Iterable[str]) -> dict[str, str]:
+    """Return the tokens that follow from a secret: the same ones in each process that has it."""
+    found = {role: hmac.digest(secret, f"mdb page {role}".encode(), "sha256") for role in roles}
+    return {role: base64.urlsafe_b64encode(digest[:TOKEN_BYTES]).decode() for role, digest in found.items()}
 
 
 def _is_token(found: object) -> bool:

@@ -5,14 +5,13 @@ Imports little: `mdb up` asks it before anything is started.
 
 from __future__ import annotations
 
-import secrets
 import socket
 import ssl
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from mdb_deploy.web.guard import LOOPBACK, TOKEN_BYTES, Guard, Site, tokens_in
+from mdb_deploy.web.guard import LOOPBACK, OF_ROLE, Guard, Rights, Site, tokens_in, tokens_of
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.roles import Role
@@ -22,6 +21,12 @@ PORT, PORTS_TRIED = 8787, 50
 SOCKET_VARIABLE = "MDB_WEB_SOCKET"
 """Holds the number of the socket that `mdb up` listens with, if it has started this process."""
 BACKLOG = 256
+MAY = {
+    Role.BRAIN: OF_ROLE,
+    Role.OPERATOR: {"viewer": OF_ROLE["viewer"], "operator": Rights(teach=False, operate=True)},
+    Role.VIEWER: {"viewer": OF_ROLE["viewer"]},
+}
+"""The links of a page with a bundle, by the bundle's role: nobody may do more there than the bundle may."""
 PACKAGES = ("starlette", "uvicorn", "websockets")
 WRITE_BYTES = 2**17
 """Waiting to be sent on one connection, here and in the system each, before its sender waits: what waits gets old."""
@@ -124,10 +129,9 @@ def guard_of(options: WebOptions, port: int) -> Guard:
         anywhere = options.host in ("0.0.0.0", "::")
         known_as = next((host for host in reversed(named) if host not in LOOPBACK), None) if anywhere else None
         return Guard(Site(options.host, port, encrypted=True), frozenset(hosts), tokens_in(keys), known_as)
-    user = Bundle.read(keys).user
-    roles = ("viewer", "operator") if user is not None and user.role is Role.OPERATOR else ("viewer",)
-    tokens = {role: secrets.token_urlsafe(TOKEN_BYTES) for role in roles}
-    return Guard(Site(options.host, port), frozenset(hosts), tokens)
+    bundle = Bundle.read(keys)
+    may = MAY.get(bundle.user.role if bundle.user is not None else Role.VIEWER, MAY[Role.VIEWER])
+    return Guard(Site(options.host, port), frozenset(hosts), tokens_of(bundle.key, may), of_role=may)
 
 
 def certificate_of(options: WebOptions) -> ssl.SSLContext | None:

@@ -9,23 +9,36 @@ from __future__ import annotations
 import asyncio
 import re
 import stat
-import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from mdb_protocol.errors import MdbError
 
 T = TypeVar("T")
 
+SUFFIXES = frozenset({".mcap", ".toml", ".csv", ".png", ".svg", ".pdf", ".html", ".md", ".txt", ".json", ".gif"})
+"""Of files that may be downloaded."""
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_. +-]{0,254}")
 MOST_RUNS = 500
 """The newest so many are listed."""
 KEPT_OPEN = 2
+OPENED_AGAIN_S, OPENED_SHARE = 1.0, 10.0
+"""A run that goes on is read again after so long at least, and so many times as long as that took."""
 WAITING = 16
 """Questions that wait for the thread; who asks more is told to ask later."""
+
+
+class _Opened(NamedTuple):
+    """A run that is open: the size that its log had then, and when it may be read again if that is another."""
+
+    size: int
+    run: Any
+    again_s: float
 
 
 class NoRunError(MdbError):
@@ -43,10 +56,9 @@ class PastRuns:
         self._base = base
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="past")
         self._waiting = 0
-        self._open: OrderedDict[str, tuple[int, Any]] = OrderedDict()
-        """Runs that are open, the one that was asked last at the end, with the size that their log had then."""
+        self._open: OrderedDict[str, _Opened] = OrderedDict()
+        """Runs that are open, the one that was asked last at the end."""
         self._listed: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
-        self._lock = threading.Lock()
 
     async def runs(self) -> list[dict[str, Any]]:
         """Return name, experiment, iterations and time of each run, the newest first."""
@@ -68,7 +80,7 @@ class PastRuns:
             kind = inside.stat().st_mode
         except (OSError, RuntimeError, ValueError):
             raise NoRunError(f"no file of this name in {name}") from None
-        if not inside.is_relative_to(folder) or not stat.S_ISREG(kind):
+        if not inside.is_relative_to(folder) or not stat.S_ISREG(kind) or inside.suffix not in SUFFIXES:
             raise NoRunError(f"no file of this name in {name}")
         return inside
 
@@ -95,17 +107,19 @@ class PastRuns:
         from mdb_services.recorder import segments_of
 
         folder = self._folder(name)
-        size = sum(path.stat().st_size for path in segments_of(folder))
+        size, now_s = sum(path.stat().st_size for path in segments_of(folder)), time.monotonic()
         kept = self._open.pop(name, None)
-        if kept is not None and kept[0] != size:  # it goes on
-            kept[1].close()
+        if kept is not None and kept.size != size and now_s >= kept.again_s:  # it goes on
+            kept.run.close()
             kept = None
         if kept is None:
             while len(self._open) >= KEPT_OPEN:
-                self._open.popitem(last=False)[1][1].close()
-            kept = (size, PastRun(folder))
+                self._open.popitem(last=False)[1].run.close()
+            run = PastRun(folder)
+            took_s = time.monotonic() - now_s
+            kept = _Opened(size, run, now_s + took_s + max(OPENED_AGAIN_S, OPENED_SHARE * took_s))
         self._open[name] = kept
-        return kept[1]
+        return kept.run
 
     def _list(self) -> list[dict[str, Any]]:
         if self._base is None or not self._base.is_dir():
@@ -114,8 +128,9 @@ class PastRuns:
         for folder in self._base.iterdir():
             if not NAME.fullmatch(folder.name) or folder.is_symlink() or not folder.is_dir():
                 continue
-            if (log := _log_of(folder)) is not None:
-                folders.append((log.stat().st_mtime, folder))
+            with suppress(OSError):  # it is being removed
+                if (log := _log_of(folder)) is not None:
+                    folders.append((log.stat().st_mtime, folder))
         folders.sort(key=lambda each: each[0], reverse=True)
         return [self._row(folder, when_s) for when_s, folder in folders[:MOST_RUNS]]
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from mdb_deploy.web.guard import Guard
@@ -38,10 +39,34 @@ MESSAGE_BYTES = 2**17
 """Largest message that a browser may send: one second of sound."""
 PING_S = 20.0
 """So often a browser is asked whether it lives, and so long it may take to answer."""
+REQUEST_S = 10.0
+"""A connection on which no whole request has come for so long is closed."""
 CLOSING_S = 1
 NICE = 5
 """Showing gives way to acting when both want the same core, as learning does."""
 LOOK_S = 0.05
+
+
+class Requests(H11Protocol):
+    """Uvicorn's HTTP, with a bound on how long a connection may be held without a whole request."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """See to it that a request comes."""
+        assert isinstance(transport, asyncio.Transport)
+        super().connection_made(transport)
+        self._served: object = None
+        self._idle_s = self.loop.time()
+        self._look()
+
+    def _look(self) -> None:
+        if self.transport.is_closing() or self not in self.connections:  # closed, or a WebSocket's from now on
+            return
+        if self.cycle is not None and (self.cycle is not self._served or not self.cycle.response_complete):
+            self._served, self._idle_s = self.cycle, self.loop.time()
+        if self.loop.time() - self._idle_s > REQUEST_S:
+            self.transport.abort()
+        else:
+            self.loop.call_later(REQUEST_S / 4, self._look)
 
 
 class Sockets(WebSocketsSansIOProtocol):
@@ -101,7 +126,7 @@ def _config(console: Console, context: ssl.SSLContext | None) -> uvicorn.Config:
     return uvicorn.Config(
         console.app,
         loop="none",
-        http="h11",
+        http=Requests,
         ws=Sockets,
         ws_max_size=MESSAGE_BYTES,
         ws_ping_interval=PING_S,

@@ -21,6 +21,7 @@ from mdb_deploy.web.telling.hello import hello
 from mdb_deploy.web.telling.story import Story
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import MdbError
+from mdb_protocol.roles import Role
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.shell.heartbeat import SILENT_S, START_S, Heart
 from mdb_services.shell.service import run
@@ -70,7 +71,8 @@ class Bridge:
         self.on_found: Callable[[], None] = lambda: None
         """Called in this thread when another brain or run is shown."""
         self._place, self._role, self._instance = place, ROLE, instance
-        if place.keys is not None and place.keys.is_file() and (user := Bundle.read(place.keys).user) is not None:
+        user = Bundle.read(place.keys).user if place.keys is not None and place.keys.is_file() else None
+        if user is not None and user.role is not Role.BRAIN:
             self._role, self._instance = user.role.value, user.name  # it may be nothing else
         self._waiting = Waiting()
         self._story: Story
@@ -111,8 +113,8 @@ class Bridge:
                 if words != told:
                     log.warning("the brain cannot be shown", reason=words)
             except Exception as error:
-                log.exception("the bridge failed; it begins again")
-                words = f"the console failed ({type(error).__name__}); it begins again"
+                if told != (words := f"the console failed ({type(error).__name__}); it begins again"):
+                    log.exception("the bridge failed; it begins again")
             told = words
             self._say(words)
             self._rest()

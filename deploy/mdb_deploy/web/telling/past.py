@@ -11,6 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from mdb_deploy.web.runs import SUFFIXES
 from mdb_deploy.web.telling.hello import hello
 from mdb_deploy.web.telling.kept.film import Film
 from mdb_deploy.web.telling.kept.heard import MOST_CONTEXTS, TIMINGS
@@ -31,7 +32,6 @@ SHOTS, SPACING = 128, 64
 MOST_CONTROLS = 1000
 MOST_FILES, DEPTH = 200, 3
 """Files for downloads, and how deep in the folder."""
-SUFFIXES = frozenset({".mcap", ".toml", ".csv", ".png", ".svg", ".pdf", ".html", ".md", ".txt", ".json", ".gif"})
 
 
 class _Memories:
@@ -219,10 +219,6 @@ class PastRun:
     def files(self) -> list[dict[str, Any]]:
         """Return what may be downloaded: [{path (relative, with /), bytes}]; nothing hidden, no databases."""
         return [{"path": name, "bytes": path.stat().st_size} for name, path in self._files().items()]
-
-    def file(self, path: str) -> Path | None:
-        """Return the path of one of `files`; None when it is none of them."""
-        return self._files().get(path)
 
     def _files(self) -> dict[str, Path]:
         root = self.folder.resolve()

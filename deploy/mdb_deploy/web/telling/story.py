@@ -26,6 +26,8 @@ WAITS_S = 1.0
 LARGE_S = 0.5
 """Large parts are renewed no more often."""
 LARGE = ("memory", "models", "induced")
+MOST_ALIVE, MOST_TOLD = 500, 200
+"""Tokens and lessons that are told."""
 TEACHER = "teacher/"
 """Begins the tokens of teachers."""
 
@@ -54,7 +56,7 @@ class Story:
             "picture": lambda: None if heard.picture is None else picture_part(heard.picture),
             "phase": lambda: plain(heard.speech.phases[-1]) if heard.speech.phases else None,
             "control": lambda: None if heard.control is None else plain(heard.control),
-            "alive": lambda: sorted(heard.tokens or ()),
+            "alive": lambda: sorted(heard.tokens or ())[:MOST_ALIVE],
             "finished": lambda: heard.finished,
             "trouble": lambda: heard.words,
             "thought": self._thought_part,
@@ -63,7 +65,7 @@ class Story:
             "contexts": lambda: [plain(event) for event in heard.contexts],
             "shelf": self._shelf_part,
             "teachers": self._teachers_part,
-            "lessons": lambda: [plain(lesson) for of in heard.speech.lessons.values() for lesson in of],
+            "lessons": self._lessons_part,
             "timing": lambda: {f"p{n}_ms": percentile_ms([*heard.timings], n / 100) for n in (50, 99)},
         }
 
@@ -248,6 +250,10 @@ class Story:
             entry = shelf.setdefault((event.model, event.stored), entry)
             entry["uses"] += event.kind == "recalled"
         return list(shelf.values())
+
+    def _lessons_part(self) -> list[Any]:
+        lessons = (lesson for of in self.heard.speech.lessons.values() for lesson in of)
+        return [plain(lesson) for lesson in sorted(lessons, key=lambda lesson: lesson.iteration)[-MOST_TOLD:]]
 
     def _teachers_part(self) -> list[dict[str, Any]]:
         """Return who is there to teach: the scripted teacher of the phase first, then the others."""

@@ -7,6 +7,7 @@ against the log at each step. What is no simulation is never moved. Why there is
 from __future__ import annotations
 
 import math
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -21,10 +22,16 @@ from mdb_sim.runs.experiment import Experiment
 
 MOST_STEPS = 2000
 """Actions of an episode that are done again, at the most."""
+MOST_S = 5.0
+"""For one picture an episode is gone on with for so long; who asks again gets further."""
 MOST_PICTURES = 256
 """Pictures that are kept."""
 ALIKE = 1e-6
 """Numbers of a scene that differ by no more, as a share of 1 or of themselves, are the same."""
+
+
+class _NotYetError(BodyError):
+    """The picture takes longer than it may; what was done so far is kept."""
 
 
 class Film:
@@ -57,7 +64,8 @@ class Film:
             try:
                 self._kept[iteration] = {**self._made(iteration), "missing": None}
             except (MdbError, BodyError) as error:
-                self._start = -1
+                if not isinstance(error, _NotYetError):
+                    self._start = -1
                 return {"iteration": iteration, "drawing": None, "image": None, "missing": str(error)}
             if len(self._kept) > MOST_PICTURES:
                 self._kept.popitem(last=False)
@@ -68,7 +76,11 @@ class Film:
         if start != self._start or self._done > iteration:
             self._begin(start)
         assert self._body is not None
+        until_s = time.monotonic() + MOST_S
         while self._done < iteration:
+            if time.monotonic() > until_s:
+                left = iteration - self._done
+                raise _NotYetError(f"{left} actions of this episode are still to be done again; ask once more")
             self._act(self._done)
         sensed = self._sensed(iteration)  # another body's sensors have other noise
         picture = picture_of(self._body, self._reading if sensed is None else sensed, iteration)
