@@ -76,6 +76,18 @@ def test_a_killed_process_is_started_again_at_once_and_is_not_ready_until_its_to
     run(lambda: Rig(tmp_path, LIVES), check)
 
 
+def test_who_is_given_nothing_at_its_first_start_is_started_again(tmp_path: Path) -> None:
+    async def check(rig: Rig) -> None:
+        await rig.runner.start()
+        assert (rig.child.restarts, rig.child.ready) == (1, True)
+
+    first = (
+        "import pathlib; been = pathlib.Path({flag!r} + '.been')\n"
+        f"if not been.exists(): been.touch(); raise SystemExit({UNHEARD})\n"
+    )
+    run(lambda: Rig(tmp_path, first + LIVES), check)
+
+
 def test_many_deaths_that_are_not_quick_end_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "QUICK_S", 0.0)
 

@@ -170,8 +170,9 @@ class Runner:
 
     def _why_give_up(self, child: Child, status: int | None, how: str) -> str | None:
         """Return what to say of a process that is not to be started again; None when it is."""
-        if not child.been_ready and status is not None and status >= 0:
-            return f"ended with status {status}"  # by itself, at its first start: it would again
+        by_itself = status is not None and status >= 0 and status != UNHEARD  # which is the router's fault
+        if not child.been_ready and by_itself:
+            return f"ended with status {status}"  # at its first start: it would again
         if not child.spec.restarts:
             return f"ended {how}, and is not to be started again"
         if child.quick_deaths >= QUICK_DEATHS:
