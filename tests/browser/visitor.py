@@ -95,4 +95,6 @@ class Visitor:
             self.page.keyboard.press(key)
         else:
             self.page.click(f".face-key[data-value='{value}']")
-        self.sees("s.you.exchanges.find((e) => e.iteration === a)?.feedback != null", iteration)
+        # While he is not obeyed yet, the robot may go on before he has judged.
+        given = "s.you.exchanges.find((e) => e.iteration === a)?.feedback != null"
+        self.sees(f"{given} || s.you.turn.iteration > a + 1", iteration)

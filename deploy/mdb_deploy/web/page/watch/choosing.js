@@ -46,9 +46,13 @@ export function start(root, { state, on }) {
 
   let made = [];
   let shape = "";
+  let last;
   const paint = () => {
-    const thought = state.thought;
-    const none = !thought || thought.badge === "waits";
+    // While the robot waits, its last choice stays: one thinks about it before one plays the next note.
+    const waits = state.thought?.badge === "waits";
+    if (!waits) last = state.thought;
+    const thought = waits ? last : state.thought;
+    const none = !thought;
     show(empty, none);
     say(empty, state.scene?.iteration > 0 ? "Its next choice will be shown here." : "It has not chosen anything yet.");
     for (const part of [situation, chart, key, outcome, why]) show(part, !none);
@@ -73,7 +77,7 @@ export function start(root, { state, on }) {
       Math.abs(thought.came?.feedback ?? 0),
     );
     for (const [i, one] of actions.entries()) fill(made[i], one, most, thought);
-    tellSituation(situation, thought, state.you);
+    tellSituation(situation, thought, state.you, waits);
     const done = outcomeOf(thought, state.rows);
     tellNumber(promised, done.predicted);
     tellNumber(came, done.feedback, done.waits ? "…" : "no feedback");
@@ -88,6 +92,7 @@ export function start(root, { state, on }) {
     say(why, own(thought.why, state.you));
   };
   const touch = painter(root, paint);
+  for (const part of ["hello", "mode"]) on(part, () => (last = undefined));
   on("thought", touch);
   on("you", touch);
   on("rows", touch);
@@ -96,8 +101,12 @@ export function start(root, { state, on }) {
 /** What was predicted and what came of it: of this action, or of the one before while this one goes on. */
 function outcomeOf(thought, rows) {
   const now = { iteration: thought.iteration, predicted: thought.predicted ?? null };
-  if (thought.came) return { ...now, ...thought.came, waits: false };
   const last = rows.iteration.length - 1;
+  if (thought.came) {
+    // Feedback may come later than the rest of the report.
+    const late = rows.iteration[last] === thought.iteration ? rows.feedback[last] : null;
+    return { ...now, ...thought.came, feedback: thought.came.feedback ?? late, waits: false };
+  }
   if (last < 0 || rows.iteration[last] !== thought.iteration - 1)
     return { ...now, feedback: null, event: null, waits: true };
   return {
@@ -159,13 +168,13 @@ function fill(row, action, most, thought) {
   say(row.words, `, support ${Math.round(100 * support)} percent${action.chosen ? ", chosen" : ""}`);
 }
 
-function tellSituation(box, thought, you) {
+function tellSituation(box, thought, you, waits) {
   const teacher = who(thought.teacher, you);
-  const chips = [`Iteration ${thought.iteration}`];
+  const chips = [`${waits ? "It waits. Its last choice: iteration" : "Iteration"} ${thought.iteration}`];
   if (thought.note !== null && thought.note !== undefined) {
-    chips.push(`It hears note ${thought.note}${teacher ? ` from ${teacher}` : ""}`);
+    chips.push(`${waits ? "It heard" : "It hears"} note ${thought.note}${teacher ? ` from ${teacher}` : ""}`);
   } else {
-    chips.push("It hears no note");
+    chips.push(waits ? "It heard no note" : "It hears no note");
   }
   if (thought.mode) chips.push(`Mode: ${thought.mode}`);
   const text = chips.join("\n");
