@@ -37,6 +37,8 @@ def own(user: User) -> tuple[Key, str, Message]:
     if user.role is Role.TEACHER:
         command = messages.Command(teacher=user.name, iteration=FAR, note=0)
         return keys.COMMAND, keys.COMMAND.at(user.brain, teacher=user.name), command
+    if user.role is Role.OPERATOR:
+        return keys.CONTROL, keys.CONTROL.at(user.brain), messages.Control(iteration=0)
     status = messages.Status(role=user.role.value, instance=user.name, pid=1, uptime_s=1.0, values={}, refused={})
     return keys.STATUS, keys.STATUS.at(user.brain, role=user.role.value, instance=user.name), status
 

@@ -18,9 +18,11 @@ from tests.integration.test_survival import LONG
 
 GROWN_MB = 64
 TEACHER, VIEWER = User(BRAIN, Role.TEACHER, "anna"), User(BRAIN, Role.VIEWER, "tom")
+OPERATOR = User(BRAIN, Role.OPERATOR, "olga")
 FLOODS = [
     *((TEACHER, kind) for kind in ("notes", "sound", "large", "gaps", "heartbeats", "tokens", "questions")),
     *((VIEWER, kind) for kind in ("notes", "large", "gaps", "questions")),
+    *((OPERATOR, kind) for kind in ("notes", "large", "gaps")),
 ]
 BUSY = TEACHER, "nothing"
 """What a flood takes of the processor by itself, which no limit gives back."""
@@ -35,7 +37,7 @@ class Flooded:
 
     def __init__(self, folder: Path) -> None:
         self._keys = KeyFolder.create(folder / "keys", BRAIN)
-        for user in (TEACHER, VIEWER):
+        for user in (TEACHER, VIEWER, OPERATOR):
             self._keys.add(user.role, user.name)
         runs = folder / "runs"
         runs.mkdir()

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import time
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from mdb_deploy.experiments import experiment_path
+from mdb_deploy.web.live import bridge as bridges
 from mdb_deploy.web.live.fan import Fan, Waiting
 from mdb_deploy.web.live.hub import NO_BRAIN, Hub
+from mdb_deploy.web.opening import Place
 from mdb_deploy.web.telling.hello import hello
 from mdb_deploy.web.telling.story import Story
 from mdb_protocol import keys, messages
@@ -185,6 +189,42 @@ def test_a_part_that_cannot_be_told_does_not_keep_the_others(rig: Rig, monkeypat
     assert now.get("teachers") is None
 
 
+def test_a_message_that_cannot_be_told_does_not_keep_the_others(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = rig.story.take
+
+    def take(row: keys.Key, message: messages.Message) -> None:
+        if row is keys.ITERATION:
+            raise ValueError("broken")
+        honest(row, message)
+
+    monkeypatch.setattr(rig.story, "take", take)
+    for iteration in range(3):
+        rig.reports.put(report(iteration))
+        rig.scenes.put(scene(iteration))
+        rig.step()
+    assert rig.hub.iteration == 2
+
+
+def test_a_bridge_that_fails_again_and_again_says_so_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    tries = []
+
+    def fails(_: Place) -> None:
+        tries.append(1)
+        raise RuntimeError("broken")
+
+    monkeypatch.setattr(bridges, "find", fails)
+    monkeypatch.setattr(bridges, "AGAIN_S", 0.01)
+    with capture_logs() as logged:
+        bridge = bridges.Bridge(Place(), "console", Fan())
+        bridge.start()
+        deadline = time.monotonic() + 20.0
+        while len(tries) < 4:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        bridge.stop()
+    assert [entry["event"] for entry in logged] == ["the bridge failed; it begins again"]
+
+
 def test_that_there_is_no_brain_is_told(rig: Rig) -> None:
     browser = rig.browser()
     rig.step()
@@ -198,8 +238,6 @@ def test_that_there_is_no_brain_is_told(rig: Rig) -> None:
 
 
 def test_frames_are_fewer_where_they_take_long(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    import time
-
     browser = rig.browser()
     monkeypatch.setattr(rig.fan, "send", lambda: time.sleep(0.05) or True)
     for _ in range(20):

@@ -12,7 +12,7 @@ from msgspec import structs
 from mdb_deploy.experiments import experiment_path
 from mdb_deploy.web.telling.kept.rows import AT_ONCE, MOST_ROWS, Rows
 from mdb_deploy.web.telling.plan import Plan
-from mdb_deploy.web.telling.story import LARGE_S, WAITS_S, Story
+from mdb_deploy.web.telling.story import LARGE_S, MOST_ALIVE, MOST_TOLD, WAITS_S, Story
 from mdb_protocol import keys
 from mdb_protocol import messages as m
 from mdb_services.mechanism.actions.foresight import Known
@@ -282,3 +282,24 @@ def test_a_policy_that_fails_keeps_nothing_else_from_being_told(monkeypatch: pyt
     story.take(keys.SCENE, scene_of(1, 90.0))
     story.take(keys.ITERATION, report_of(0, note=3, teacher="one"))
     assert story.rows(0)["obeyed"] == [None]
+
+
+def test_a_finished_run_that_is_gone_on_with_is_not_finished() -> None:
+    story = Story(paper(), clock=None)
+    story.take(keys.FINISHED, m.Finished(iterations=3))
+    story.take(keys.ITERATION, report_of(2))
+    assert story.part("finished"), "its last report may come after"
+    story.take(keys.ITERATION, report_of(3))
+    assert not story.part("finished")
+
+
+def test_who_is_alive_and_what_is_taught_is_bounded() -> None:
+    story = Story(paper(), clock=None)
+    story.alive(f"teacher/t{number}" for number in range(10 * MOST_ALIVE))
+    assert len(story.part("alive")) == MOST_ALIVE
+    for number in range(3 * MOST_TOLD):
+        lesson = m.Lesson(teacher=f"t{number % 50}", iteration=number, commands=[], notes=[])
+        story.take(keys.LESSON, lesson)
+    told = story.part("lessons")
+    assert len(told) == MOST_TOLD
+    assert told[-1]["iteration"] == 3 * MOST_TOLD - 1, "the newest ones"
