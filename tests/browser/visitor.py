@@ -74,7 +74,8 @@ class Visitor:
             self.sees("s.you?.turn?.iteration > a || s.finished", at)
             if self.value("s.finished"):
                 return
-        self._judge(self.value("s.you.turn.iteration") - 1, by_keys)
+        if not self.value("s.finished"):
+            self._judge(self.value("s.you.turn.iteration") - 1, by_keys)
 
     def _press(self, note: int | None, by_keys: bool) -> None:
         if by_keys:
@@ -84,7 +85,7 @@ class Visitor:
 
     def _judge(self, iteration: int, by_keys: bool) -> None:
         """Praise what was meant, punish the rest, less when it was near; as a person does who sees what it did."""
-        said = self.value(f"s.you.exchanges.find((e) => e.iteration === {iteration}) ?? null")
+        said = self.value(f"s.you?.exchanges?.find((e) => e.iteration === {iteration}) ?? null")
         if said is None or said["command"] is None or said["did"] is None or said["feedback"] is not None:
             return
         order = self.value("s.hello.order")
@@ -96,5 +97,5 @@ class Visitor:
         else:
             self.page.click(f".face-key[data-value='{value}']")
         # While he is not obeyed yet, the robot may go on before he has judged.
-        given = "s.you.exchanges.find((e) => e.iteration === a)?.feedback != null"
-        self.sees(f"{given} || s.you.turn.iteration > a + 1", iteration)
+        given = "s.you?.exchanges?.find((e) => e.iteration === a)?.feedback != null"
+        self.sees(f"{given} || s.finished || s.you?.turn?.iteration > a + 1", iteration)

@@ -117,12 +117,12 @@ class Teach {
     show(this._form, whyNot === null && !there && !left);
     show(this._lesson.root, whyNot === null && there);
     show(this._leaves, there);
+    say(this._title, there && this._hello ? `You teach ${this._hello.brain}, as ${you.name}` : "Teach");
     if (whyNot !== null || !this._hello) return;
     const operates = Boolean(this._hello.rights?.operate);
     const goals = (this._hello.successes ?? []).map((name) => `“${named(name)}”`).join(" or ");
     say(this._goal, goals ? `Help it to a success: ${goals}. A hint tells which note is right.` : "A hint tells which note is right.");
     show(this._takesRow, operates && scripted(state) && state.control?.script !== false);
-    say(this._title, there ? `You teach ${this._hello.brain}, as ${you.name}` : "Teach");
     if (there) {
       this._lesson.show(this._hello, you, {
         control: state.control, tools: this._tools, rights: this._hello.rights ?? {}, scripted: scripted(state),
