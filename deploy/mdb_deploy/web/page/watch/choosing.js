@@ -45,7 +45,6 @@ export function start(root, { state, on }) {
   root.append(empty, situation, chart, key, outcome, why);
 
   let made = [];
-  let shape = "";
   let last;
   const paint = () => {
     // While the robot waits, its last choice stays: one thinks about it before one plays the next note.
@@ -58,14 +57,11 @@ export function start(root, { state, on }) {
     for (const part of [situation, chart, key, outcome, why]) show(part, !none);
     if (none) return;
     const actions = thought.actions ?? [];
-    const labels = actions.map(label);
-    const names = JSON.stringify(labels);
-    if (names !== shape) {
-      shape = names;
-      const values = actions.length > 0 && actions.every(isPoint) ? Object.keys(actions[0].values) : [];
-      say(of, valuesOf(values, state.hello));
-      show(of, values.length > 0);
-      made = labels.map(row);
+    const values = actions.length > 0 && actions.every(isPoint) ? Object.keys(actions[0].values) : [];
+    say(of, valuesOf(values, state.hello));
+    show(of, values.length > 0);
+    if (actions.length !== made.length) {
+      made = actions.map(row);
       bars.replaceChildren(...made.map((one) => one.item));
       bars.dataset.many = actions.length > MANY ? "yes" : "no";
     }
@@ -134,25 +130,28 @@ function valuesOf(names, hello) {
   return `${withoutCommon(names).join(", ")}${units.length > 0 ? ` (${units.join(", ")})` : ""}`;
 }
 
-function row(words) {
+function row() {
   const bar = el("i");
   const mark = el("b", { hidden: true, title: "What came" });
   const number = el("span", { class: "number" });
   const told = el("span", { class: "unseen" });
+  const name = el("span", { class: "label" });
   const item = el(
     "li",
     {},
-    el("span", { class: "label", title: words }, words),
+    name,
     el("span", { class: "track", "aria-hidden": "true" }, bar, mark),
     number,
     told,
   );
-  return { item, bar, mark, number, words: told };
+  return { item, name, bar, mark, number, words: told };
 }
 
 function fill(row, action, most, thought) {
   const value = action.satisfaction;
   const known = Number.isFinite(value);
+  say(row.name, label(action));
+  row.name.title = row.name.textContent;
   row.item.dataset.chosen = action.chosen ? "yes" : "no";
   if (action.chosen) row.item.setAttribute("aria-current", "true");
   else row.item.removeAttribute("aria-current");
