@@ -140,7 +140,8 @@ function open() {
       clearTimeout(asked.timer);
       asked.resolve({ is: "said", ok: false, words: "The connection to the console was lost.", to: asked.to });
     }
-    show(new Set(["connection"]), { connection: "lost" });
+    // Whether a lesson goes on is not known until the server says so again.
+    show(new Set(["connection", "you"]), { connection: "lost", you: undefined });
     timer = setTimeout(open, waitMs);
     waitMs = Math.min(2 * waitMs, LONGEST_WAIT_MS);
   });

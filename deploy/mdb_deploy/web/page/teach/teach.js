@@ -227,8 +227,8 @@ class Teach {
     while (this._me === me && performance.now() < until_ms) {
       await new Promise((resume) => setTimeout(resume, AGAIN_MS));
       const { connection, you } = this._page.state;
-      if (connection !== "open" || !this._hello?.live) continue;
-      if (you?.name || (await this._ask(me.name, me.language, false))) break;
+      if (connection !== "open" || !this._hello?.live || you === undefined) continue;
+      if (you.name || (await this._ask(me.name, me.language, false))) break;
     }
     this._returning = false;
     say(this._failed, "");
