@@ -201,10 +201,11 @@ class Peer:
                 self.quiet = set(words[1:])
             return {}
         if words[0] == "graph":
-            info = get_topic_info(
-                words[1], self.options.domain, router_port=self.options.port, timeout=2.0, verbose=True
-            )
-            assert info is not None
+            info = None  # as long as the router has not answered in time
+            while info is None:
+                info = get_topic_info(
+                    words[1], self.options.domain, router_port=self.options.port, timeout=2.0, verbose=True
+                )
             ends = {"publishers": info.publishers, "subscribers": info.subscribers}
             return {"types": info.topic_types} | {
                 kind: [[one.node_name, one.topic_type, one.type_hash, one.qos] for one in several]
