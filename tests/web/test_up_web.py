@@ -164,6 +164,52 @@ def test_the_page_goes_on_when_the_run_is_over(tmp_path: Path) -> None:
         assert brain.output().count("results:") == 1
 
 
+def test_a_page_that_cannot_be_kept_up_is_refused_and_the_run_goes_on(served: Served) -> None:
+    with served.page() as page:
+        page.until(lambda state: iteration(state) > 5, 60.0)
+    deadline = time.monotonic() + 120.0
+    while "the run goes on without it" not in served.brain.output():
+        assert time.monotonic() < deadline
+        if (child := served.brain.child("web")) is not None:
+            child.kill()
+        time.sleep(0.05)
+
+    def is_refused() -> bool:
+        try:
+            httpx.get(served.at, timeout=2.0)
+        except httpx.ConnectError:
+            return True
+        return False
+
+    until(is_refused)
+    bus = served.brain.bus()
+    scenes = bus.subscriber(keys.SCENE)
+    first = until(scenes.take)
+    until(lambda: (scene := scenes.take()) is not None and scene.iteration > first.iteration + 5)  # type: ignore[attr-defined]
+    bus.close()
+
+
+def test_a_bridge_that_is_frozen_for_a_while_holds_nobody_up(served: Served) -> None:
+    with served.page() as page:
+        page.until(lambda state: iteration(state) > 5, 60.0)
+        assert page.ask(do="join", name="ann")["ok"]
+        bus = served.brain.bus()
+        until(lambda: "teacher/ann" in bus.alive())
+        assert page.ask(do="wait", on=True)["ok"]
+        child = served.brain.child("web")
+        assert child is not None
+        scenes = bus.subscriber(keys.SCENE)
+        child.suspend()
+        first = until(scenes.take)
+        until(lambda: (scene := scenes.take()) is not None and scene.iteration > first.iteration + 50)  # type: ignore[attr-defined]
+        if child.is_running():
+            child.resume()
+        bus.close()
+    with served.page(60.0) as page:
+        before = iteration(page.until(lambda state: iteration(state) > 0, 60.0))
+        page.until(lambda state: iteration(state) > before + 5, 60.0)
+
+
 def test_ctrl_c_in_the_middle_ends_the_page_too(served: Served) -> None:
     with served.page() as page:
         page.until(lambda state: iteration(state) > 2, 60.0)

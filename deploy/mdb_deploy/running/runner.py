@@ -107,8 +107,8 @@ class Runner:
         self._stopping = False
         self._tasks: list[asyncio.Task[None]] = []
         self._keeping: dict[str, asyncio.Task[None]] = {}
-        self.on_given_up: Callable[[str], None] = lambda _: None
-        """Called with the name of a process without which the run goes on."""
+        self.on_given_up: Callable[[], None] = lambda: None
+        """Called when one is given up that is not needed: the page."""
         self.children = {name: Child(spec, logs / f"{name}.log") for name, spec in specs.items()}
         self.failed: asyncio.Future[StartError] = asyncio.get_running_loop().create_future()
 
@@ -161,7 +161,7 @@ class Runner:
             if (why := self._why_give_up(child, status, how)) is not None:
                 if not child.spec.needed:
                     log.error("the run goes on without it", name=child.spec.name, reason=f"it {why}")
-                    self.on_given_up(child.spec.name)
+                    self.on_given_up()
                     return
                 self._fail(f"{child.spec.name} {why}. Its last lines ({child.log_path}):\n{child.last_lines()}")
                 return

@@ -217,7 +217,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress, on
         watch.on_endpoint = lambda found: runner.connect(found, endpoints.with_port_of(options.listen, found))
     watch.on_unheard = runner.replace_router
     if options.web is not None:
-        runner.on_given_up = lambda _, web=options.web: web.end()
+        runner.on_given_up = options.web.end
     status = 0
     try:
         if options.connect is not None:
