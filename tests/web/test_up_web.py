@@ -82,7 +82,10 @@ def test_the_operator_changes_the_robot_and_pauses_it(served: Served) -> None:
         assert page.ask(do="change", settings={"swapped": True})["ok"]
         refused = page.ask(do="change", settings={"swappd": True})
         assert not refused["ok"]
-        assert "refused" in refused["words"]
+        assert "did you mean 'swapped'" in refused["words"]
+        refused = page.ask(do="change", settings={"swapped": "perhaps"})
+        assert not refused["ok"]
+        assert "refused swapped = perhaps" in refused["words"]
         assert page.ask(do="control", paused=True)["ok"]
         page.until(lambda state: (state.get("control") or {}).get("paused"))
         bus = served.brain.bus()
@@ -105,6 +108,37 @@ def test_a_bridge_that_is_killed_is_back_at_the_same_place(served: Served) -> No
         state = again.until(lambda state: iteration(state) > before and "rows" in state, 60.0)
         assert state["rows"]["iteration"][0] == 0, "what was before is read from the run's log"
     assert served.brain.process.poll() is None
+
+
+def test_a_pause_outlives_the_bridge_and_then_the_robot(served: Served) -> None:
+    with served.page() as page:
+        page.until(lambda state: iteration(state) > 5, 60.0)
+        assert page.ask(do="control", paused=True)["ok"]
+        page.until(lambda state: (state.get("control") or {}).get("paused"))
+    bus = served.brain.bus()
+    heard = bus.subscriber(keys.CONTROL)
+    until(heard.take)
+
+    def is_paused() -> bool:
+        status = served.brain.status(bus, "robot", "body")
+        return status is not None and status.values["paused"] == 1
+
+    until(is_paused)
+    for word in ("web", "robot"):
+        child = served.brain.child(word)
+        assert child is not None
+        child.kill()
+        child.wait(BOUND_S)
+        if word == "web":
+            until(heard.take)  # the new bridge has said it again
+    until(lambda: served.brain.child("robot"))
+    until(is_paused)
+    bus.close()
+    with served.page(60.0) as page:
+        page.until(lambda state: (state.get("control") or {}).get("paused"))
+        before = iteration(page.until(lambda state: iteration(state) > 0))
+        assert page.ask(do="control", paused=False)["ok"]
+        page.until(lambda state: iteration(state) > before + 5, 60.0)
 
 
 def test_a_router_that_is_killed_is_told_of_and_the_page_goes_on(served: Served) -> None:
