@@ -27,15 +27,16 @@ EXPECTED = ("WebSocket connection", "net::ERR_CONNECTION_REFUSED", "Failed to lo
 Open = Callable[..., Visitor]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def playwright() -> Iterator[Playwright]:
+    """Of a module, for its loop runs in this thread: tests of others have loops of their own."""
     if CHROMIUM is None:
         pytest.skip("no chromium here (Debian: apt-get install chromium)")
     with sync_playwright() as playwright:
         yield playwright
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser(playwright: Playwright) -> Browser:
     return playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
 

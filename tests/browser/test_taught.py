@@ -113,7 +113,7 @@ def test_the_run_ends_while_somebody_teaches(tmp_path: Path, visit: Open) -> Non
     with console(tmp_path, *QUICK, "experiment.iterations=25", options=("--no-teacher",)) as (_, address):
         visitor = visit(address)
         visitor.come()
-        visitor.teach(40)
+        visitor.teach(40, by_keys=True)  # a key that comes too late does nothing
         visitor.sees("s.finished && !s.you?.name")
         visitor.page.wait_for_selector("text=This is what came of your lesson")
         assert "Notes you played" in visitor.page.inner_text("#teach")

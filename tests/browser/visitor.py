@@ -64,18 +64,15 @@ class Visitor:
     def teach(self, count: int, *, by_keys: bool = False) -> None:
         """Play the note that the hint names, then judge what came of it; so many times."""
         for _ in range(count):
-            self.sees("['play', 'both'].includes(s.you?.turn?.kind)")
-            at = self.value("s.you.turn.iteration")
-            self._judge(at - 1, by_keys)
-            if self.value("s.you.wanted") is None:
-                self._press(None, by_keys)
-            else:
-                self._press(self.value("s.you.language[s.you.wanted]"), by_keys)
-            self.sees("s.you?.turn?.iteration > a || s.finished", at)
-            if self.value("s.finished"):
+            self.sees("['play', 'both'].includes(s.you?.turn?.kind) || s.finished")
+            if (you := self.value("s.finished ? null : s.you")) is None:
                 return
-        if not self.value("s.finished"):
-            self._judge(self.value("s.you.turn.iteration") - 1, by_keys)
+            at = you["turn"]["iteration"]
+            self._judge(at - 1, by_keys)
+            self._press(None if you["wanted"] is None else you["language"][you["wanted"]], by_keys)
+            self.sees("s.you?.turn?.iteration > a || s.finished", at)
+        if (you := self.value("s.finished ? null : s.you")) is not None:
+            self._judge(you["turn"]["iteration"] - 1, by_keys)
 
     def _press(self, note: int | None, by_keys: bool) -> None:
         if by_keys:

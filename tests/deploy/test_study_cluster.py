@@ -14,7 +14,7 @@ from mdb_sim.studies.catalogue import STUDIES
 from mdb_sim.studies.results import Label, Result
 from tests.deploy.test_study import wanted
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 
 def told(found: list[Result]) -> list[Any]:

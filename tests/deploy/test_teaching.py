@@ -164,6 +164,7 @@ def test_steps_1_to_4_a_language_then_alone_then_another_language(tmp_path: Path
     assert rewards(again[150:300]) > 0.7, "it obeys the other language"
 
 
+@pytest.mark.slow
 def test_step_5_another_behaviour_by_one_line_of_the_teacher(tmp_path: Path) -> None:
     assert "`AIM = 180`" in TUTORIAL
     with Up(tmp_path / "brain") as brain:

@@ -87,6 +87,7 @@ def test_interrupted(made: Path) -> None:
     assert works(made) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.edge("the environment is checked, not assumed", "Python taken away; replaced by another")
 def test_python_replaced(made: Path) -> None:
     library = next((made / ".venv" / "lib").glob("python*"))
@@ -98,6 +99,7 @@ def test_python_replaced(made: Path) -> None:
     assert "its Python is gone" in works(made)
 
 
+@pytest.mark.slow
 @pytest.mark.edge("the environment is checked, not assumed", "a copied checkout, with its environment")
 def test_copied(made: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"

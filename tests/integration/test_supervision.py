@@ -102,6 +102,7 @@ def read_only(folder: Path) -> Iterator[None]:
         subprocess.run(["umount", "--lazy", folder], check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_with_hangs_among_kills_nothing_acknowledged_is_lost(tmp_path: Path) -> None:
     options = ChaosOptions(
