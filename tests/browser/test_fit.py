@@ -86,7 +86,11 @@ def test_the_page_is_worked_with_the_keyboard_alone(address: str, visit: Open) -
         if visitor.page.evaluate("document.activeElement.id") == "teach-join":
             break
         visitor.page.keyboard.press("Tab")
-    visitor.page.keyboard.press("Enter")
+    for _ in range(5):  # on a busy machine it is told after two seconds that no router answers: he tries again
+        visitor.page.keyboard.press("Enter")
+        visitor.sees("s.you?.name === 'kim' || (s.said?.to === 'join' && !s.said.ok)")
+        if visitor.value("s.you?.name"):
+            break
     visitor.sees("s.you?.name === 'kim'")
     visitor.page.keyboard.press("q")
     visitor.sees("!s.you?.name")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 
 ROOT = Path(__file__).parents[2]
 PARTS = ("protocol", "services", "sim", "deploy", "README.md", "LICENSE", "pyproject.toml")
@@ -87,7 +87,6 @@ def test_interrupted(made: Path) -> None:
     assert works(made) == ""
 
 
-@pytest.mark.slow
 @pytest.mark.edge("the environment is checked, not assumed", "Python taken away; replaced by another")
 def test_python_replaced(made: Path) -> None:
     library = next((made / ".venv" / "lib").glob("python*"))
@@ -99,7 +98,6 @@ def test_python_replaced(made: Path) -> None:
     assert "its Python is gone" in works(made)
 
 
-@pytest.mark.slow
 @pytest.mark.edge("the environment is checked, not assumed", "a copied checkout, with its environment")
 def test_copied(made: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"

@@ -76,6 +76,7 @@ def test_a_robot_that_is_told_to_stop_interrupts_its_action_and_halts(tmp_path: 
 
 
 @pytest.mark.long
+@pytest.mark.slow
 def test_without_a_commander_an_action_is_interrupted(tmp_path: Path) -> None:
     with slow_brain(tmp_path, TAKES_S) as (brain, diary):
         took_s = [killed(brain, diary) for _ in range(3)]

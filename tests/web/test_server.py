@@ -48,7 +48,10 @@ def page(place: Place) -> Iterator[Page]:
 def ann(place: Place, page: Page) -> Iterator[Page]:
     """A page on which ann teaches."""
     assert page.ask(do="join", name="ann", language="reversed")["ok"]
-    page.until(lambda state: state["you"].get("name") == "ann")
+    try:
+        page.until(lambda state: state["you"].get("name") == "ann", 8.0)
+    except TimeoutError as error:
+        raise AssertionError(page.state["you"]) from error
     yield page
     page.ask(do="leave")
     place.brain.wait_until(lambda alive: "teacher/ann" not in alive)

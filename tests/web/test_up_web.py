@@ -96,6 +96,7 @@ def test_the_operator_changes_the_robot_and_pauses_it(served: Served) -> None:
         bus.close()
 
 
+@pytest.mark.slow
 def test_a_bridge_that_is_killed_is_back_at_the_same_place(served: Served) -> None:
     page = served.page()
     before = iteration(page.until(lambda state: iteration(state) > 20 and "rows" in state, 60.0))
@@ -141,6 +142,7 @@ def test_a_pause_outlives_the_bridge_and_then_the_robot(served: Served) -> None:
         page.until(lambda state: iteration(state) > before + 5, 60.0)
 
 
+@pytest.mark.slow
 def test_a_router_that_is_killed_is_told_of_and_the_page_goes_on(served: Served) -> None:
     with served.page() as page:
         before = iteration(page.until(lambda state: iteration(state) > 5, 60.0))

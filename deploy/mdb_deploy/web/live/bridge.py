@@ -162,7 +162,8 @@ class Bridge:
         self._story, self._fresh, self.found = story, True, found
         self.fan.begin(greeting, story)
         self.fan.send()
-        self.on_found()
+        if before is not None:  # who is quick has come to teach the first one already
+            self.on_found()
 
     def _is_another(self, hub: Hub) -> bool:
         """Whether the brain works in another run folder than the one that is shown, where it was not said which."""
