@@ -19,7 +19,7 @@ from websockets.exceptions import InvalidStatus
 from mdb_deploy.keys.credentials import KeyFolder
 from mdb_deploy.web import serve
 from mdb_deploy.web.guard import TOKENS_FILE, Guard, RefusedError, Site, tokens_in
-from mdb_deploy.web.opening import PORT, Place, WebOptions, bind, check, guard_of
+from mdb_deploy.web.opening import PORT, Place, WebOptions, bind, check, guard_of, is_loopback
 from mdb_protocol import keys
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.roles import Role
@@ -356,3 +356,12 @@ def test_a_connection_without_a_request_is_closed(console: Console, monkeypatch:
         page.until(lambda state: "hello" in state)
         time.sleep(0.5)
         assert not page.ask(do="leave")["ok"], "a socket stays"
+
+
+@pytest.mark.parametrize(
+    ("host", "only_here"),
+    [("127.0.0.1", True), ("127.9.9.9", True), ("::1", True), ("localhost", True), ("127.elsewhere.invalid", False),
+     ("0.0.0.0", False), ("::", False), ("", False)],
+)  # fmt: skip
+def test_only_this_machine_reaches_a_loopback_address(host: str, only_here: bool) -> None:
+    assert is_loopback(host) is only_here

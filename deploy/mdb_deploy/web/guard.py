@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mdb_protocol import files
+from mdb_protocol.endpoints import EVERYWHERE
 from mdb_protocol.errors import ConfigError, DamageError
 from mdb_protocol.words import shown
 from mdb_services.shell.whole_file import write_whole
@@ -69,7 +70,7 @@ class Site(NamedTuple):
 
     def address(self, host: str | None = None) -> str:
         """Return the page's address, as others reach this machine by `host`."""
-        named = host or ("127.0.0.1" if self.host in ("0.0.0.0", "::", "") else self.host)
+        named = host or ("127.0.0.1" if self.host in (*EVERYWHERE, "") else self.host)
         return f"{self.scheme}://{f'[{named}]' if ':' in named else named}:{self.port}/"
 
 

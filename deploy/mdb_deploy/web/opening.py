@@ -13,6 +13,7 @@ from pathlib import Path
 
 from mdb_deploy.web.guard import LOOPBACK, OF_ROLE, Guard, Rights, Site, tokens_in, tokens_of
 from mdb_protocol.bundle import Bundle
+from mdb_protocol.endpoints import EVERYWHERE, Endpoint
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.roles import Role
 
@@ -67,7 +68,7 @@ def check_packages() -> None:
 
 def is_loopback(host: str) -> bool:
     """Whether only this machine reaches what listens there."""
-    return host in LOOPBACK or host.startswith("127.")
+    return bool(host) and Endpoint("tcp", host, 0).is_loopback()
 
 
 def check(options: WebOptions) -> None:
@@ -118,7 +119,7 @@ def bind(host: str, port: int | None) -> socket.socket:
 def guard_of(options: WebOptions, port: int) -> Guard:
     """Return who may use the page at this port; the tokens are made if there are none."""
     keys = options.place.keys
-    hosts = {*LOOPBACK, options.host.lower()} - {"0.0.0.0", "::", ""}
+    hosts = {*LOOPBACK, options.host.lower()} - {*EVERYWHERE, ""}
     if keys is None:
         return Guard(Site(options.host, port), frozenset(hosts))
     if keys.is_dir():
@@ -126,7 +127,7 @@ def guard_of(options: WebOptions, port: int) -> Guard:
 
         named = KeyFolder(keys).hosts()
         hosts |= {host.lower() for host in named}
-        anywhere = options.host in ("0.0.0.0", "::")
+        anywhere = options.host in EVERYWHERE
         known_as = next((host for host in reversed(named) if host not in LOOPBACK), None) if anywhere else None
         return Guard(Site(options.host, port, encrypted=True), frozenset(hosts), tokens_in(keys), known_as)
     bundle = Bundle.read(keys)
