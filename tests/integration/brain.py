@@ -153,3 +153,4 @@ class Brain:
             for child in children:
                 if child.is_running():
                     child.kill()
+        sys.stdout.write(self.output())  # pytest shows it of a test that fails

@@ -6,7 +6,7 @@ import os
 import signal
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 
 from mdb_protocol import keys
 from mdb_protocol.bus import Bus, read
-from mdb_protocol.errors import DecodeError
+from mdb_protocol.errors import DecodeError, UnheardError
 from mdb_protocol.messages import Message
 from mdb_services.experiment.brain import MEMORY_FILE
 
@@ -30,20 +30,33 @@ class Heard(NamedTuple):
 
 
 class Ears:
-    """Hears everything on a bus of its own; junk is left out."""
+    """Hears everything on a bus; junk is left out."""
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Bus, again: Callable[[], Bus] | None = None) -> None:
+        """`again`: joins once more when the router gives this bus nothing any more, as who is supervised is started
+        again then (`mdb_protocol.probing`); without it UnheardError is raised."""
         self.bus = bus
         self.heard: list[Heard] = []
-        self._tap = bus.tap()
+        self._tap, self._again = bus.tap(), again
 
     def listen(self, seconds: float) -> list[Heard]:
         """Listen so long; return what came in it."""
         first, until_s = len(self.heard), time.monotonic() + seconds
         while (left_s := until_s - time.monotonic()) > 0:
             self.bus.wait(min(left_s, 0.05))
+            self._check()
             self._take()
         return self.heard[first:]
+
+    def _check(self) -> None:
+        try:
+            self.bus.check_heard()
+        except UnheardError:
+            if self._again is None:
+                raise
+            self.bus.close()
+            self.bus = self._again()
+            self._tap = self.bus.tap()
 
     def _take(self) -> None:
         while (raw := self._tap.take()) is not None:
