@@ -56,7 +56,7 @@ def test_steps_1_and_2_what_init_writes_runs_and_is_judged_by_the_reward(folder:
     assert (feedback == np.where(event == "terminated", -1.0, 0.0)).all()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_steps_3_and_4_a_teacher_of_one_s_own_and_what_came_of_it(folder: Path) -> None:
     path = run_of(follow(TEACH, folder))
     done = Run(path).iterations

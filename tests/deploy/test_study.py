@@ -404,7 +404,7 @@ def test_what_cannot_be_run_says_so_before_its_first_run(tmp_path: Path, capsys:
     assert "no such folder" in capsys.readouterr().err
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_study_that_is_ended_takes_its_workers_with_it_and_leaves_no_run_folder(tmp_path: Path) -> None:
     temporary = tmp_path / "tmp"
     temporary.mkdir()

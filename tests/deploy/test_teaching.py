@@ -176,6 +176,7 @@ def test_step_5_another_behaviour_by_one_line_of_the_teacher(tmp_path: Path) -> 
     assert left["lost"] >= 0.06 * len(done[520:]), "it flees until it sees the object no more"
 
 
+@pytest.mark.slow
 def test_step_6_a_teacher_in_another_network_through_a_link_that_loses_packets(tmp_path: Path) -> None:
     if os.geteuid() != 0 or not (shutil.which("ip") and shutil.which("nft")):
         pytest.skip("needs root, ip and nft")

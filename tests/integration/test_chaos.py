@@ -66,6 +66,7 @@ def test_after_twelve_kills_everything_acknowledged_is_there_once(tmp_path: Path
     assert report.logged > 0
 
 
+@pytest.mark.slow  # the pendulum's is long
 @pytest.mark.parametrize("seed", [1])
 def test_a_lockstep_run_with_kills_ends_as_the_one_without(tmp_path: Path, seed: int) -> None:
     """All but the recorder die, whom nobody waits for."""

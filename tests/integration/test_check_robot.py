@@ -67,19 +67,15 @@ def checked(endpoint: str, name: str) -> Report:
         return RobotCheck(Link(bus), experiment, wait_s=WAIT_S, patience_s=2.0).run()
 
 
-@pytest.fixture(scope="module")
-def reports(endpoint: str) -> dict[str, Report]:
-    """Several broken robots at once: trials mostly wait."""
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_each_broken_robot_fails_at_its_duty(endpoint: str) -> None:
+    """Several at once: trials mostly wait."""
     with ProcessPoolExecutor(9, get_context("spawn")) as pool:
         tasks = {name: pool.submit(checked, endpoint, name) for name in BROKEN}
-        return {name: task.result(PATIENCE_S) for name, task in tasks.items()}
-
-
-@pytest.mark.long
-@pytest.mark.timeout(300)  # the first one waits for all trials
-@pytest.mark.parametrize("name", BROKEN)
-def test_a_broken_robot_fails_at_its_duty(name: str, reports: dict[str, Report]) -> None:
-    report, broken = reports[name], BROKEN[name]
-    assert broken.duty in report.failed(), report.text()
-    assert any(broken.said in words for words in report.against[broken.duty]), report.text()
-    assert not report.holds()
+        reports = {name: task.result(PATIENCE_S) for name, task in tasks.items()}
+    for name, report in reports.items():
+        broken = BROKEN[name]
+        assert broken.duty in report.failed(), f"{name}: {report.text()}"
+        assert any(broken.said in words for words in report.against[broken.duty]), f"{name}: {report.text()}"
+        assert not report.holds(), name

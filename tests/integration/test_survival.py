@@ -81,7 +81,7 @@ def test_killed_evolver_comes_back_and_goes_on(tmp_path: Path) -> None:
         iteration_after(bus, reports, 10)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_junk_on_every_key_is_counted_and_survived(tmp_path: Path) -> None:
     junk = [b"", b"\x00", b"\xff" * 100, b"not msgpack at all", b"\x81\xa9iteration\xff", os.urandom(4096)]
     names = {"teacher": "one", "model": "object", "role": "robot", "instance": "body", "holder": "x"}

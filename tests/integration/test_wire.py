@@ -133,7 +133,7 @@ def until_not(condition: object, seconds: float) -> bool:
     return True
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_brains_of_different_names_live_on_one_router_and_the_second_of_a_name_is_refused(tmp_path: Path) -> None:
     with Brain(tmp_path, *LONG) as first, first.bus() as bus:
         iteration_after(bus, bus.subscriber(keys.ITERATION), 3)

@@ -44,7 +44,7 @@ def taught(folder: Path, iterations: int) -> tuple[list[Scene], dict[str, int]]:
     return [scenes[iteration] for iteration in sorted(scenes)], heard
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_robot_of_another_make_is_taught_to_reach(tmp_path: Path) -> None:
     scenes, heard = taught(tmp_path / "run", ITERATIONS)

@@ -32,6 +32,8 @@ from mdb_sim.runs.experiment import Experiment
 
 BRAIN = "pioneer"
 BOUND_S = 20.0
+BY_NAME = ("models", "memory")
+"""Parts of which a frame holds those models only that are new."""
 ROUTER_CONFIG = Path(__file__).parents[2] / "deploy" / "router.json5"
 
 
@@ -98,7 +100,8 @@ class Page:
         )
         self.frames += 1
         if frame["is"] == "now":
-            self.state |= frame
+            by_name = {part: self.state.get(part, {}) | frame[part] for part in BY_NAME if part in frame}
+            self.state |= frame | by_name
         elif frame["is"] == "hello":
             self.state = {"you": self.state.get("you", {}), "hello": frame}
         else:
