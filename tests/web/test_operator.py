@@ -61,6 +61,18 @@ def joined(page: Page) -> None:
     page.until(lambda state: "scene" in state and state.get("hello", {}).get("live"))
 
 
+@contextmanager
+def shown(runs: Path, iteration: int, *settings: str) -> Iterator[tuple[Played, Page, str]]:
+    """A brain at this iteration, a page that shows it, and the router's endpoint."""
+    folder = run_folder(runs / "now", *settings)
+    with router() as running, Played(running.endpoint()) as brain:
+        endpoint = running.endpoint()
+        with Console(options_of(endpoint, folder)) as console, Page(console) as page:
+            brain.show(iteration)
+            joined(page)
+            yield brain, page, endpoint
+
+
 def test_what_a_dead_bridge_said_is_read_in_the_log_and_said_again(tmp_path: Path) -> None:
     folder = run_folder(tmp_path / "runs" / "now")
     with router() as running, Played(running.endpoint()) as brain:
@@ -108,34 +120,24 @@ def test_without_a_log_robot_and_teacher_are_asked(tmp_path: Path) -> None:
 
 
 def test_nothing_is_said_of_a_run_that_goes_on_as_usual(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path / "runs" / "now")
-    with router() as running, Played(running.endpoint()) as brain:
-        endpoint = running.endpoint()
-        with Console(options_of(endpoint, folder)) as console, Page(console) as page:
-            brain.show(1)
-            joined(page)
-            assert heard_late(endpoint) == []
+    with shown(tmp_path / "runs", 1) as (_, _, endpoint):
+        assert heard_late(endpoint) == []
 
 
 def test_of_two_operators_only_the_last_one_is_heard_by_who_comes_late(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path / "runs" / "now")
-    with router() as running, Played(running.endpoint()) as brain:
-        endpoint = running.endpoint()
-        with Console(options_of(endpoint, folder)) as console, Page(console) as page:
-            brain.show(1)
-            joined(page)
-            assert page.ask(do="control", paused=True)["ok"]
-            other = brain.bus.publisher(keys.CONTROL)
-            last = messages.Control(iteration=1, action_s=0.5)
-            other.put(last)
-            page.until(lambda state: (state.get("control") or {}).get("action_s") == 0.5)
-            for _ in range(20):
-                if heard_late(endpoint) == [last]:
-                    break
-            assert heard_late(endpoint) == [last]
-            assert page.ask(do="control", paused=True)["ok"], "its own turn comes again"
-            said = brain.wait_for(brain.controls, lambda said: said.paused and said.action_s is not None)
-            assert said.action_s == 0.5
+    with shown(tmp_path / "runs", 1) as (brain, page, endpoint):
+        assert page.ask(do="control", paused=True)["ok"]
+        other = brain.bus.publisher(keys.CONTROL)
+        last = messages.Control(iteration=1, action_s=0.5)
+        other.put(last)
+        page.until(lambda state: (state.get("control") or {}).get("action_s") == 0.5)
+        for _ in range(20):
+            if heard_late(endpoint) == [last]:
+                break
+        assert heard_late(endpoint) == [last]
+        assert page.ask(do="control", paused=True)["ok"], "its own turn comes again"
+        said = brain.wait_for(brain.controls, lambda said: said.paused and said.action_s is not None)
+        assert said.action_s == 0.5
 
 
 def test_what_holds_is_known_after_the_router_was_away(tmp_path: Path) -> None:
@@ -159,14 +161,10 @@ def test_what_holds_is_known_after_the_router_was_away(tmp_path: Path) -> None:
 
 
 def test_the_last_phase_cannot_be_ended(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path / "runs" / "now", "teacher.phase.alone.start=5")
-    with router() as running, Played(running.endpoint()) as brain:
-        brain.show(1999)
-        with Console(options_of(running.endpoint(), folder)) as console, Page(console) as page:
-            joined(page)
-            refused = page.ask(do="control", end_phase=True)
-            assert not refused["ok"]
-            assert "last phase" in refused["words"]
+    with shown(tmp_path / "runs", 1999, "teacher.phase.alone.start=5") as (_, page, _):
+        refused = page.ask(do="control", end_phase=True)
+        assert not refused["ok"]
+        assert "last phase" in refused["words"]
 
 
 def test_what_a_robot_has_not_is_named(tmp_path: Path) -> None:
