@@ -32,7 +32,8 @@ from mdb_sim.teaching.service import ROLE
 MOST_TEACHERS = 8
 BACK_S = 5.0
 """A browser that is gone for longer has left."""
-JOIN_S = 2.0
+JOIN_S = 6.0
+"""Bound on joining a router: less than a browser waits for an answer (10 s), much more than a busy machine needs."""
 SAID_AGAIN_S = 0.25
 """So often a browser is told of its lesson when nothing is new: a countdown goes on."""
 NOTICED_S = 6.0

@@ -31,7 +31,8 @@ from mdb_sim.runs.experiment import Experiment
 
 log = structlog.get_logger()
 
-JOIN_S = 2.0
+JOIN_S = 4.5
+"""Bound on joining a router: with the two below less than a browser waits for an answer, 10 s."""
 HEARD_S, LOOK_S = 2.0, 0.005
 """Bound on hearing ourselves what was said, and how often it is looked for."""
 BUSY_S = 3.0

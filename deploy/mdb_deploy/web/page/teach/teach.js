@@ -150,6 +150,7 @@ class Teach {
 
   async _join(event) {
     event.preventDefault();
+    if (this._come.hasAttribute("aria-disabled")) return; // asked already
     const name = this._name.value.trim().replace(NAME, "-").replace(/^-+|-+$/g, "");
     if (!name || name === "script") {
       say(this._failed, name ? "This name is the scripted teacher's. Choose another." : "Type a name of letters and digits.");
@@ -166,9 +167,9 @@ class Teach {
   async _ask(name, language, takes) {
     say(this._failed, "");
     this._coming = name;
-    this._come.disabled = true;
+    this._come.setAttribute("aria-disabled", "true"); // not `disabled`: who works with the keys would lose his place
     const said = await this._page.send({ do: "join", name, language });
-    this._come.disabled = false;
+    this._come.removeAttribute("aria-disabled");
     if (!said.ok) {
       this._coming = null;
       say(this._failed, said.words);
