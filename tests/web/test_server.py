@@ -7,13 +7,14 @@ import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from mdb_deploy.web.live import guests, visitor
-from mdb_deploy.web.live.hub import ROUTER_GONE
+from mdb_deploy.web.live import bridge, guests, visitor
+from mdb_deploy.web.live.hub import ROUTER_GONE, Hub
 from mdb_protocol import messages
 from tests.web.rig import BOUND_S, BRAIN, Console, Page, Played, options_of, router, run_folder
 
@@ -62,6 +63,22 @@ def test_a_page_sees_the_brain(place: Place, page: Page) -> None:
     assert page.state["hello"]["rights"] == {"teach": True, "operate": True}
     place.brain.show(5)
     page.until(lambda state: state["scene"]["iteration"] == 5)
+
+
+def test_who_is_told_of_a_brain_can_teach_it(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long the router takes for what the console wants to hear."""
+
+    class Slow(Hub):
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            time.sleep(0.5)
+
+    monkeypatch.setattr(bridge, "Hub", Slow)
+    with Console(options_of(None, place.run, runs=place.run.parent)) as console, Page(console) as page:
+        page.until(lambda state: state.get("hello", {}).get("live"))
+        said = page.ask(do="join", name="eve", language="ordered")
+        assert said["ok"], said
+    place.brain.wait_until(lambda alive: "teacher/eve" not in alive)
 
 
 def test_the_robot_is_told_that_somebody_watches(place: Place) -> None:

@@ -130,18 +130,16 @@ class Bridge:
             give_up=self._stop.is_set,
         )
         try:
-            self._begin(found)
-            self.hub = hub = Hub(bus, self._instance, self._story, self.fan, role=self._role)
+            story = self._story_of(found)
+            hub = Hub(bus, self._instance, story, self.fan, role=self._role)
+            self._begin(found, story, hub)
             if self._fresh:
                 self._catch_up(hub, found)
                 self._fresh = False
-        except BaseException:
-            bus.close()
-            raise
-        try:
             run(hub, lambda: self._stop.is_set() or self._is_another(hub), found.run, self.beats)
         finally:
             self.hub = None
+            bus.close()
         return "the brain is looked for"
 
     def _catch_up(self, hub: Hub, found: Found) -> None:
@@ -151,15 +149,21 @@ class Bridge:
         if MEMORY in hub.bus.alive():
             hub.ask_for_what_was(model.name for model in found.experiment.brain.model)
 
-    def _begin(self, found: Found) -> None:
-        """Tell of this brain, unless it is the one that was told of before."""
+    def _story_of(self, found: Found) -> Story:
+        """Return the story of this brain: the one that is told, if it is of this run."""
         before = self.found
-        if before is not None and (before.brain, before.run) == (found.brain, found.run):
+        same = before is not None and (before.brain, before.run) == (found.brain, found.run)
+        return self._story if same else Story(found.experiment)
+
+    def _begin(self, found: Found, story: Story, hub: Hub) -> None:
+        """Be there for orders; then tell of this brain, unless it is the one that was told of before."""
+        before = self.found
+        if before is not None and story is self._story:
+            self.hub = hub
             return
-        story = Story(found.experiment)
         story.trouble(JOINS)  # said first, so that what comes after is another word, whatever a page knows of before
         greeting = hello(found.experiment, found.name, live=True)
-        self._story, self._fresh, self.found = story, True, found
+        self._story, self._fresh, self.found, self.hub = story, True, found, hub
         self.fan.begin(greeting, story)
         self.fan.send()
         if before is not None:  # who is quick has come to teach the first one already
