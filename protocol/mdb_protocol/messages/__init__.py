@@ -5,6 +5,8 @@ fields are accepted, so a newer sender can talk to an older reader; wrong types 
 with their path.
 """
 
+import msgspec
+
 from mdb_protocol.messages.basics import (
     MOST_SUPPORT,
     NOTHING,
@@ -129,3 +131,9 @@ __all__ = [
     "check_stamp",
     "check_weights",
 ]
+
+for _name in __all__:
+    # msgspec learns a type when it first decodes one; two threads that do so at once crash (0.22: a segmentation
+    # fault), and the console has a thread for each teacher. So each is learnt here, where one thread imports.
+    if isinstance(_type := globals()[_name], type) and issubclass(_type, Message):
+        msgspec.msgpack.Decoder(_type)

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import msgspec
 from msgspec import inspect
 
-from mdb_protocol import files
+from mdb_protocol import converting, files
 from mdb_protocol.errors import ConfigError, DamageError
 from mdb_protocol.words import close_to
 
@@ -66,7 +66,7 @@ def _parsed(text: str) -> dict[str, Any]:
 def convert(section: Mapping[str, Any], cls: type[T], source: object) -> T:
     """Return the checked section; ConfigError names the source and the path of what is wrong."""
     try:
-        return msgspec.convert(section, cls, strict=True)
+        return converting.convert(section, cls)
     except (msgspec.ValidationError, ValueError) as error:
         raise ConfigError(f"{source}: {error}{_choices(cls, str(error))}") from error
 
@@ -78,7 +78,7 @@ def make(cls: type[T], fields: Mapping[str, Any], what: str) -> T:
         if name not in known:
             raise ConfigError(f"{what}: unknown setting {name!r}{nearest(name, known)}")
     try:
-        return msgspec.convert(dict(fields), cls, strict=True)
+        return converting.convert(dict(fields), cls)
     except (msgspec.ValidationError, ValueError) as error:
         raise ConfigError(f"{what}: {error}") from error
 

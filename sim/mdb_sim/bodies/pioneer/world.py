@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from mdb_protocol.converting import convert
 from mdb_sim.body import Actuator, BodyError, Numbers, Sensor, Spec
 
 TRACK_M = 0.3206
@@ -127,7 +128,7 @@ class Changes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 def changed(changes: Changes, settings: Mapping[str, Any]) -> Changes:
     """Return changes with some more; BodyError names what is wrong."""
     try:
-        return msgspec.convert(msgspec.structs.asdict(changes) | dict(settings), Changes)
+        return convert(msgspec.structs.asdict(changes) | dict(settings), Changes)
     except (msgspec.ValidationError, ValueError) as error:
         raise BodyError(f"change {dict(settings)!r}: {error}; there are {', '.join(CHANGES)}") from error
 
@@ -139,7 +140,7 @@ CHANGES = tuple(field.name for field in msgspec.structs.fields(Changes))
 def config_of(options: Mapping[str, Any]) -> PioneerConfig:
     """Return the options of `[robot.options]`, checked; BodyError names what is wrong."""
     try:
-        return msgspec.convert(dict(options), PioneerConfig)
+        return convert(dict(options), PioneerConfig)
     except (msgspec.ValidationError, ValueError) as error:
         raise BodyError(f"robot.options: {error}") from error
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from mdb_protocol.converting import convert
 from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 from mdb_sim.bodies.ros2.names import resolved
 from mdb_sim.body import Actuator, BodyError, Sensor, Spec
@@ -161,7 +162,7 @@ class Ros2Options(_Section, frozen=True, kw_only=True):
 def options_of(options: Mapping[str, Any]) -> Ros2Options:
     """Return the options of `[robot.options]`, checked; BodyError names what is wrong."""
     try:
-        return msgspec.convert(dict(options), Ros2Options)
+        return convert(dict(options), Ros2Options)
     except (msgspec.ValidationError, ValueError) as error:
         said = str(error)
         raise BodyError(said if said.startswith("robot.options") else f"robot.options: {said}") from error
