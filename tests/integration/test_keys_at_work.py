@@ -12,6 +12,7 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_services.shell.heartbeat import CLOSE_S
 from tests.integration.brain import BRAIN, SHORT, mdb, until
 
 
@@ -38,7 +39,7 @@ def router_process(run: Path, *words: str) -> Iterator[str]:
         assert process.poll() is None, "it is still the same process"
     finally:
         process.terminate()
-        process.wait(10.0)
+        process.wait(2 * CLOSE_S)
 
 
 def made(*words: str) -> str:
