@@ -16,8 +16,11 @@ import psutil
 
 from mdb_protocol.messages import Status
 from mdb_protocol.zenoh_bus import ZenohBus
+from mdb_services.shell.heartbeat import CLOSE_S
 
 BOUND_S = 60.0
+ENDED_S = 2 * CLOSE_S
+"""A process whose router goes while it closes may take all of `CLOSE_S`; without a runner nobody ends it sooner."""
 BRAIN = "pioneer"
 
 SHORT = (

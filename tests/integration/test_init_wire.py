@@ -7,8 +7,7 @@ from pathlib import Path
 from mdb_deploy.begin.folder import begin
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.shell.heartbeat import CLOSE_S
-from tests.integration.brain import until
+from tests.integration.brain import ENDED_S, until
 from tests.integration.test_keys_at_work import router_process
 
 AHEAD = {"left": 0.3, "right": 0.3}
@@ -64,4 +63,4 @@ def test_the_robot_program_acts_once_and_shows_again(tmp_path: Path) -> None:
             assert "brain mine has its robot/body already: process " in second.stderr
         finally:
             robot.terminate()
-            robot.wait(2 * CLOSE_S)
+            robot.wait(ENDED_S)

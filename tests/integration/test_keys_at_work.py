@@ -12,8 +12,7 @@ import pytest
 
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.shell.heartbeat import CLOSE_S
-from tests.integration.brain import BRAIN, SHORT, mdb, until
+from tests.integration.brain import BRAIN, ENDED_S, SHORT, mdb, until
 
 
 @contextmanager
@@ -39,7 +38,7 @@ def router_process(run: Path, *words: str) -> Iterator[str]:
         assert process.poll() is None, "it is still the same process"
     finally:
         process.terminate()
-        process.wait(2 * CLOSE_S)
+        process.wait(ENDED_S)
 
 
 def made(*words: str) -> str:

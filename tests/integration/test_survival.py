@@ -15,8 +15,7 @@ import zenoh
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import Inbox
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.shell.heartbeat import CLOSE_S
-from tests.integration.brain import Brain, mdb, until
+from tests.integration.brain import ENDED_S, Brain, mdb, until
 
 LONG = ("experiment.iterations=100000", "teacher.phase.alone.start=90000", "teacher.phase.second teacher.start=90001",
         "teacher.phase.alone again.start=90002")  # fmt: skip
@@ -134,7 +133,7 @@ def test_children_stop_when_their_runner_is_killed(tmp_path: Path) -> None:
         iteration_after(bus, bus.subscriber(keys.ITERATION), 3)
         children = brain.children()
         brain.process.kill()
-        until(lambda: not [child for child in children if child.is_running()], 2 * CLOSE_S)  # the router dies as well
+        until(lambda: not [child for child in children if child.is_running()], ENDED_S)
 
 
 @pytest.mark.parametrize("told", ["sigterm", "parent gone"])
