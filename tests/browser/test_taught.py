@@ -13,6 +13,7 @@ from playwright.sync_api import Browser, Playwright
 
 from tests.browser.conftest import CHROMIUM, FLAGS, Open, console
 from tests.browser.visitor import Visitor
+from tests.integration.brain import until
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(240)]
 
@@ -117,6 +118,16 @@ def test_the_run_ends_while_somebody_teaches(tmp_path: Path, visit: Open) -> Non
         visitor.sees("s.finished && !s.you?.name")
         visitor.page.wait_for_selector("text=This is what came of your lesson")
         assert "Notes you played" in visitor.page.inner_text("#teach")
+
+
+def test_who_comes_after_the_end_is_told_why_there_is_no_picture(tmp_path: Path, visit: Open) -> None:
+    with console(tmp_path, *QUICK, "experiment.iterations=25") as (brain, address):
+        until(lambda: "the page goes on" in brain.output())
+        visitor = visit(address)
+        visitor.page.wait_for_selector("text=Nobody watched, so no picture was made")
+        visitor.page.click("#teach-run")
+        visitor.sees("s.mode === 'past' && s.picture?.drawing")
+        visitor.page.wait_for_selector("text=Nobody watched", state="hidden")
 
 
 def test_actions_of_ranges_have_room_for_their_bars(tmp_path: Path, visit: Open) -> None:

@@ -113,9 +113,10 @@ export function start(root, page) {
     const bare = !state.picture?.drawing && !state.picture?.image && Boolean(state.scene);
     show(numbers, bare);
     show(waiting, bare || (!state.picture && !state.scene));
-    say(waiting, bare ? "There is no picture of this machine. These are its numbers:" : "Waiting for the first picture.");
+    say(waiting, whyNone(state));
     if (bare) facts(numbers, Object.entries(state.scene.now));
   };
+  on("finished", tellNumbers);
   let flashed = null;
   let timer = 0;
   on("scene", (scene) => {
@@ -255,6 +256,14 @@ function trail(context, points) {
     context.stroke();
   }
   context.globalAlpha = 1;
+}
+
+/** Why there is no picture. */
+function whyNone({ picture, finished, mode }) {
+  if (picture?.missing) return "There is no picture of this moment. These are its numbers:";
+  if (picture) return "There is no picture of this machine. These are its numbers:";
+  if (finished && mode === "live") return "Nobody watched, so no picture was made. These are the last numbers:";
+  return "Waiting for the first picture.";
 }
 
 /** What is told below the picture; what is told `instead` of it is not told again. */
