@@ -6,6 +6,13 @@ import pytest
 import structlog
 from hypothesis import settings
 
+from mdb_protocol import zenoh_sessions
+
+zenoh_sessions.CLIENT_THREADS = zenoh_sessions.ROUTER_THREADS
+"""In the tests' own process are routers and clients together, and whichever comes first says for all which threads
+there are: with a client's a router would wait in the thread that its reader needs.
+"""
+
 settings.register_profile("the same each time", derandomize=True)
 settings.load_profile("the same each time")
 

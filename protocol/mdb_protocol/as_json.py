@@ -10,9 +10,11 @@ from __future__ import annotations
 import base64
 import binascii
 import math
+from contextlib import suppress
 from functools import cache
 from typing import Any, TypeVar
 
+import msgpack
 import msgspec
 import numpy as np
 
@@ -44,10 +46,8 @@ ARRAY_SCHEMA: dict[str, Any] = {
 def encode(message: Message, payload: bytes | None = None) -> bytes:
     """Return a message as JSON. payload: its MessagePack, whose fields that this version does not know are kept."""
     if payload is not None:
-        try:
-            return _ENCODER.encode(codec.unpack(payload))
-        except TypeError:  # an unknown field holds what JSON has no word for
-            pass
+        with suppress(*_NOT_JSON):
+            return _ENCODER.encode(codec.unpack(payload, _plain_parts))
     return _ENCODER.encode(message)
 
 
@@ -90,6 +90,12 @@ def _inlined(part: Any, definitions: dict[str, Any]) -> Any:
     return {name: _inlined(value, definitions) for name, value in part.items()}
 
 
+def _plain_parts(code: int, data: bytes) -> dict[str, Any]:
+    """Return an array of a payload as `_plain` would, without making it; JSON has bytes in base64."""
+    dtype, shape, raw = codec.array_parts(code, data)
+    return {"dtype": dtype, "shape": shape, "data": raw}
+
+
 def _plain(value: Any) -> dict[str, Any]:
     if not isinstance(value, np.ndarray):
         raise TypeError(f"{type(value).__name__} cannot be written: {value!r}")
@@ -112,6 +118,8 @@ def _array(wanted: type, value: Any) -> np.ndarray:
     return array.reshape(shape)
 
 
+_NOT_JSON = (TypeError, ValueError, OverflowError, RecursionError, msgspec.MsgspecError, msgpack.UnpackException)
+"""What a field can lead to that this version does not know: JSON has no word for it, or it is junk."""
 _ENCODER = msgspec.json.Encoder(enc_hook=_plain)
 
 

@@ -130,7 +130,7 @@ class Inbox(Reader):
         if (size := size_of(raw)) > self._row.most_bytes:
             self._refusals.add(self._row.path, f"sample of {size} bytes; at most {self._row.most_bytes} are read")
             return
-        for _ in self.waiting.put(raw):
+        for _ in self.waiting.put(raw, size):
             if not self._latest:
                 self._refusals.drop(self._row.path, "too many messages wait; oldest dropped")
         self._wake.set()
@@ -181,10 +181,11 @@ class Tap(Reader):
         """Hand over a sample; called by the transport."""
         row = find(self._brain, raw.key)
         path = row.path if row is not None else TAPPED
-        if row is not None and (size := size_of(raw)) > row.most_bytes:
+        size = size_of(raw)
+        if row is not None and size > row.most_bytes:
             self._refusals.add(path, f"sample of {size} bytes; at most {row.most_bytes} are read")
             return
-        for dropped in self.waiting.put(raw, path):
+        for dropped in self.waiting.put(raw, size, path):
             self._refusals.drop(dropped, "too many messages wait; oldest dropped")
         self._wake.set()
 

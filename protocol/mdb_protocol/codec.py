@@ -6,6 +6,9 @@ with the path of what is wrong; it never returns a half-valid message.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from functools import cache, lru_cache
 from typing import Any, TypeGuard, TypeVar
 
 import msgpack
@@ -22,9 +25,11 @@ VERSION = 2
 MAX_BYTES = 16 * 2**20
 """Largest payload that is decoded, in bytes."""
 MAX_ITEMS = 10_000
-"""Most items of one list or map."""
+"""Most items of one list or map. So many bytes cannot hold more: they are decoded without counting."""
 MAX_VALUES = 1_000_000
 """Most items of all lists and maps of a payload together: a small payload can stand for a lot of memory."""
+LETTERS = 128
+"""Most letters of an encoding."""
 ARRAY_EXT = 1
 """MessagePack extension type of an array: [dtype, shape, raw little-endian bytes]."""
 DTYPES = ("<f4", "<f8", "<i2", "<i8", "|u1")
@@ -37,7 +42,7 @@ def encoding_of(message_type: type[Message]) -> str:
 
 def encode(message: Message) -> bytes:
     """Return the MessagePack bytes of a message."""
-    return bytes(msgpack.packb(message, default=_to_plain))
+    return _ENCODER.encode(message)
 
 
 def decode(message_type: type[M], payload: bytes, encoding: str) -> M:
@@ -49,10 +54,12 @@ def decode(message_type: type[M], payload: bytes, encoding: str) -> M:
     if len(payload) > MAX_BYTES:
         raise DecodeError(f"payload has {len(payload)} bytes; at most {MAX_BYTES} are accepted")
     try:
-        plain = unpack(payload)
-        return msgspec.convert(plain, message_type, dec_hook=_dec_hook)
+        if len(payload) <= MAX_ITEMS:
+            message: M = _decoder(message_type).decode(payload)
+            return message
+        return msgspec.convert(unpack(payload), message_type, dec_hook=_dec_hook)
     except (
-        msgspec.ValidationError,
+        msgspec.MsgspecError,
         msgpack.UnpackException,
         ValueError,
         TypeError,
@@ -64,6 +71,13 @@ def decode(message_type: type[M], payload: bytes, encoding: str) -> M:
 
 def check_encoding(message_type: type[Message], encoding: str) -> None:
     """Raise `DecodeError` unless an encoding is that of a message type, in this version or one alike."""
+    if len(encoding) > LETTERS:
+        raise DecodeError(f"encoding of {len(encoding)} letters; expected {encoding_of(message_type)}")
+    _check_encoding(message_type, encoding)
+
+
+@lru_cache(maxsize=64)
+def _check_encoding(message_type: type[Message], encoding: str) -> None:
     if encoding != encoding_of(message_type) and not _is_alike(encoding, message_type):
         raise DecodeError(f"encoding is {encoding!r}; expected {encoding_of(message_type)!r}")
 
@@ -75,8 +89,11 @@ def _is_alike(encoding: str, message_type: type[Message]) -> bool:
     return minor.isdecimal() and encoding == f"{before}={VERSION}.{minor}{after}"
 
 
-def unpack(payload: bytes) -> Any:
-    """Return what MessagePack bytes hold, arrays in it, as no message yet; ValueError and msgpack's when nothing."""
+def unpack(payload: bytes, ext_hook: Callable[[int, bytes], Any] | None = None) -> Any:
+    """Return what MessagePack bytes hold, as no message yet; ValueError, and msgpack's and msgspec's, when nothing.
+
+    `ext_hook` makes something of an array in it; left out, an array.
+    """
     left = MAX_VALUES
 
     def count(items: Any) -> Any:
@@ -86,14 +103,14 @@ def unpack(payload: bytes) -> Any:
             raise ValueError(f"more than {MAX_VALUES} values")
         return items
 
+    counted = {"list_hook": count, "object_hook": count} if len(payload) > MAX_ITEMS else {}
     return msgpack.unpackb(
         payload,
-        ext_hook=_ext_hook,
-        list_hook=count,
-        object_hook=count,
+        ext_hook=ext_hook or _ext_hook,
         strict_map_key=True,
         max_array_len=MAX_ITEMS,
         max_map_len=MAX_ITEMS,
+        **counted,
     )
 
 
@@ -105,34 +122,45 @@ def to_plain(message: Message) -> dict[str, Any]:
 
 
 def _to_plain(value: Any) -> Any:
-    if isinstance(value, Message):
-        return {field: getattr(value, field) for field in value.__struct_fields__}
     if isinstance(value, np.ndarray):
         array = np.ascontiguousarray(value)
         if array.dtype.str not in DTYPES:
             raise TypeError(f"array dtype is {array.dtype.str}; expected one of {', '.join(DTYPES)}")
-        return msgpack.ExtType(ARRAY_EXT, msgpack.packb([array.dtype.str, array.shape, array.tobytes()]))
+        header = [array.dtype.str, array.shape, array.tobytes()]
+        return msgspec.msgpack.Ext(ARRAY_EXT, msgspec.msgpack.encode(header))
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{type(value).__name__} cannot be sent: {value!r}")
 
 
-def _ext_hook(code: int, data: bytes) -> Any:
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=_to_plain)
+
+
+@cache
+def _decoder(message_type: type[M]) -> msgspec.msgpack.Decoder[M]:
+    return msgspec.msgpack.Decoder(message_type, ext_hook=_ext_hook, dec_hook=_dec_hook)
+
+
+def _ext_hook(code: int, data: bytes | memoryview) -> Any:
+    dtype, shape, raw = array_parts(code, data)
+    return np.frombuffer(raw, dtype).reshape(shape)
+
+
+def array_parts(code: int, data: bytes | memoryview) -> tuple[str, list[int], bytes]:
+    """Return type, shape and bytes of an array in MessagePack; ValueError, or msgspec's, when it is none."""
     if code != ARRAY_EXT:
         raise ValueError(f"extension type {code} is unknown; expected {ARRAY_EXT}, an array")
-    parts = msgpack.unpackb(data, max_array_len=4, max_map_len=0)
-    if not (isinstance(parts, list) and len(parts) == 3):
-        raise ValueError("an array is [dtype, shape, bytes]")
-    dtype, shape, raw = parts
-    if dtype not in DTYPES or not isinstance(raw, bytes) or not is_shape(shape):
+    dtype, shape, raw = _ARRAY.decode(data)
+    if dtype not in DTYPES or not is_shape(shape):
         raise ValueError(f"array header {dtype!r}, {shape!r} is not one of {DTYPES} with a shape")
-    array = np.frombuffer(raw, dtype=dtype)
-    size = 1
-    for length in shape:
-        size *= length
-    if size != array.size:
-        raise ValueError(f"array of shape {shape} has {array.size} values; expected {size}")
-    return array.reshape(shape)
+    expected = math.prod(shape) * int(dtype[-1])
+    if expected != len(raw):
+        raise ValueError(f"array of shape {shape} has {len(raw)} bytes; expected {expected}")
+    return dtype, shape, raw
+
+
+_ARRAY = msgspec.msgpack.Decoder(tuple[str, list[int], bytes])
+"""[dtype, shape, bytes]."""
 
 
 def is_shape(shape: Any) -> TypeGuard[list[int]]:

@@ -107,6 +107,10 @@ class Follower:
                 raw.key, origin, origin.number if past else origin.number + 1 - max(manner.history, 1)
             )
             source.last = max(source.last, origin.number)
+            if origin.number == source.due and not source.held:  # as nearly all do
+                source.due += 1
+                self._put(raw)
+                return
             if origin.number < source.due or origin.number in source.held:
                 return
             if not manner.whole:

@@ -19,6 +19,8 @@ from mdb_protocol.messages import Message
 ROOT = "mdb"
 PARAMETER = re.compile(r"{(\w+)}")
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+LETTERS = 512
+"""No key of a brain is longer; what is longer is not remembered."""
 SMALL = 2**16
 """Bytes of a message of a few numbers and names, at most."""
 TINY = 2**12
@@ -86,8 +88,14 @@ class Key:
 
     def match(self, brain: str, key: str) -> dict[str, str] | None:
         """Return the parameters in a full key of this row, or None when it is not one."""
-        found = _pattern(self.path, brain).fullmatch(key)
-        return found.groupdict() if found else None
+        return _parameters(self.path, brain, key) if len(key) <= LETTERS else None
+
+
+@lru_cache(maxsize=1024)
+def _parameters(path: str, brain: str, key: str) -> dict[str, str] | None:
+    """Do as `Key.match`; the same few keys come again and again."""
+    found = _pattern(path, brain).fullmatch(key)
+    return found.groupdict() if found else None
 
 
 @lru_cache(maxsize=1024)

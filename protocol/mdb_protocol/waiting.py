@@ -56,8 +56,10 @@ class Waiting:
     def __init__(self, most: int, most_bytes: int) -> None:
         """Keep at most so many samples, of so many bytes; one alone may be larger."""
         self._most, self._most_bytes = most, most_bytes
-        self._paths: dict[str, deque[tuple[int, Raw]]] = {}
+        self._paths: dict[str, deque[tuple[int, int, Raw]]] = {}
+        """For each path the samples on it, with number and size; no path without any."""
         self._bytes: dict[str, int] = {}
+        self._all_bytes = 0
         self._number = count()
         self._length = 0
         self._lock = threading.Lock()
@@ -65,14 +67,17 @@ class Waiting:
     def __len__(self) -> int:
         return self._length
 
-    def put(self, raw: Raw, path: str = "") -> list[str]:
+    def put(self, raw: Raw, size: int, path: str = "") -> list[str]:
         """Let a sample wait; return the paths of those that went for it."""
-        dropped = []
+        dropped: list[str] = []
         with self._lock:
-            self._paths.setdefault(path, deque()).append((next(self._number), raw))
-            self._bytes[path] = self._bytes.get(path, 0) + size_of(raw)
+            if path not in self._paths:
+                self._paths[path], self._bytes[path] = deque(), 0
+            self._paths[path].append((next(self._number), size, raw))
+            self._bytes[path] += size
+            self._all_bytes += size
             self._length += 1
-            while self._length > self._most or (sum(self._bytes.values()) > self._most_bytes and self._length > 1):
+            while self._length > self._most or (self._all_bytes > self._most_bytes and self._length > 1):
                 counted = self._length > self._most
                 fullest = max(self._paths, key=lambda p: len(self._paths[p]) if counted else self._bytes[p])
                 self._pop(fullest)
@@ -81,15 +86,20 @@ class Waiting:
 
     def take(self, most: int = 1) -> list[Raw]:
         """Take the oldest samples, in order."""
+        if not self._length:  # what comes meanwhile wakes the reader
+            return []
         with self._lock:
             return [self._pop(self._oldest()) for _ in range(min(most, self._length))]
 
     def _oldest(self) -> str:
+        if len(self._paths) == 1:
+            return next(iter(self._paths))
         return min(self._paths, key=lambda path: self._paths[path][0][0])
 
     def _pop(self, path: str) -> Raw:
-        _, raw = self._paths[path].popleft()
-        self._bytes[path] -= size_of(raw)
+        _, size, raw = self._paths[path].popleft()
+        self._bytes[path] -= size
+        self._all_bytes -= size
         self._length -= 1
         if not self._paths[path]:
             del self._paths[path], self._bytes[path]

@@ -35,7 +35,7 @@ from mdb_protocol.keys import ALIVE, CLAIM, ROOT, Delivery, Key
 from mdb_protocol.messages import Message
 from mdb_protocol.probing import EVERY_S, Probe
 from mdb_protocol.waiting import Raw
-from mdb_protocol.zenoh_sessions import Router, ask_router, open_client
+from mdb_protocol.zenoh_sessions import Router, ask_router, leave, open_client, stay_known
 
 __all__ = ["DEFAULT_ENDPOINT", "Router", "ZenohBus"]
 
@@ -130,6 +130,7 @@ class ZenohBus(Bus):
         refusals = self.refusals
 
         def hand_over(sample: zenoh.Sample) -> None:
+            stay_known()
             refusals.pause()
             if sample.kind == zenoh.SampleKind.PUT:
                 put(_raw(sample))
@@ -152,6 +153,7 @@ class ZenohBus(Bus):
         follower, refusals = Follower(put, manner, self._missed.set), self.refusals
 
         def hand_over(sample: zenoh.Sample) -> None:
+            stay_known()
             refusals.pause()
             if sample.kind == zenoh.SampleKind.PUT:
                 follower.hear(_raw(sample), _origin(sample))
@@ -366,11 +368,8 @@ class ZenohBus(Bus):
         self._missed.set()
         self._recovery.join(following.ANSWERED_S)
         self._followers.clear()
-        for declared in reversed(self._declared):
-            with suppress(zenoh.ZError):
-                declared.undeclare()
+        leave(self._session, self._declared[::-1])
         self._declared.clear()
-        self._session.close()  # type: ignore[no-untyped-call]
 
 
 def _tapped(brain: str, key: str) -> Manner:

@@ -9,10 +9,12 @@ import ctypes
 import json
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import zenoh
 from zenoh.handlers import Callback
@@ -33,8 +35,15 @@ CONTROL, WAITING = "data_high", 16
 """The priority of what we say, which overtakes at each hop what strangers say with Zenoh's usual one, or guests, whom
 a router with keys gives that one; and the batches that may wait there before a latest value is dropped.
 """
+LEFT_S = 5.0
+"""Bound on leaving: in a process of many sessions, closing one was seen never to end."""
+THREADS = "ZENOH_RUNTIME"
+"""Where Zenoh looks, at a process's first session, for which of its threads does what."""
 ROUTER_THREADS = "(rx: (worker_threads: 8))"
 """One that forwards to a reader who takes nothing waits; with Zenoh's two, so do all."""
+CLIENT_THREADS = "(rx: (handover: app), app: (worker_threads: 1))"
+"""A client has one link. With Zenoh's own threads each sample wakes three, one after the other, for what one does: a
+third of what a receive takes. (Not in a router: all its links would wait for the one that waits.)"""
 LIBC = ctypes.CDLL(None)
 MALLOPT = ((-8, 2), (-3, 2**20), (-1, 2**20))
 """glibc's M_ARENA_MAX, M_MMAP_THRESHOLD and M_TRIM_THRESHOLD, for a router: what large messages and many short-lived
@@ -42,6 +51,7 @@ keys took goes back to the system, where it stayed (100 MB after a minute of flo
 """
 ADMIN, ADMIN_S = "@/*/router", 2.0
 """Where a router tells of itself, and the bound on asking it."""
+_HERE = threading.local()
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 
 
@@ -75,7 +85,7 @@ def open_client(
     deadline = time.monotonic() + timeout_s
     while True:
         try:
-            return zenoh.open(config)
+            return _open(config, CLIENT_THREADS)
         except zenoh.ZError as error:
             reason = None if endpoints.within(connect) else why_refused(endpoints.parse(connect), bundle)
             if reason is not None and bundle is not None:
@@ -87,6 +97,50 @@ def open_client(
                     f"its router, 'mdb run router --listen {connect}' one for several; --connect says where one runs"
                 ) from error
             time.sleep(0.05)
+
+
+def _open(config: zenoh.Config, threads: str) -> zenoh.Session:
+    """Open a session with these threads, unless the user or an earlier session has said otherwise.
+
+    The variable is taken away again: a router that is started from a client has threads of its own.
+    """
+    if THREADS in os.environ:
+        return zenoh.open(config)
+    os.environ[THREADS] = threads
+    try:
+        return zenoh.open(config)
+    finally:
+        os.environ.pop(THREADS, None)
+
+
+def leave(session: zenoh.Session, declared: Sequence[Any] = ()) -> None:
+    """Undeclare these and close the session, or wait for that no longer than `LEFT_S`."""
+
+    def close() -> None:
+        for one in declared:
+            with suppress(zenoh.ZError):
+                one.undeclare()
+        with suppress(zenoh.ZError):
+            session.close()  # type: ignore[no-untyped-call]
+
+    closing = threading.Thread(target=close, name="leaves", daemon=True)
+    try:
+        closing.start()
+    except RuntimeError:  # no thread is to be had, as when Python ends
+        close()
+    else:
+        closing.join(LEFT_S)
+
+
+def stay_known() -> None:
+    """Let Python keep what it knows of this thread, one of Zenoh's; to be called in a callback.
+
+    Else it maps memory for the thread's frames at each call, and unmaps it in the end, which takes longer than all
+    that is done with a sample.
+    """
+    if not hasattr(_HERE, "known"):
+        _HERE.known = True
+        ctypes.pythonapi.PyGILState_Ensure()  # never released: the call's own release is then not the last
 
 
 def ask_router(session: zenoh.Session, key: str, probe: Probe) -> None:
@@ -111,6 +165,7 @@ class RouterKeys(NamedTuple):
 class Router:
     """A Zenoh router in this process (paper: none; ours), with the limits of the key table.
 
+    It has its own threads only when no client was opened in this process before it (`CLIENT_THREADS`).
     The same config file drives `zenohd`, without these limits.
     """
 
@@ -128,7 +183,6 @@ class Router:
         this machine and there are neither keys nor the plain word that it is `open_to_everyone`.
         """
         endpoints.check(listen or endpoints.USUAL, listens=True)
-        os.environ.setdefault("ZENOH_RUNTIME", ROUTER_THREADS)
         _keep_little_memory()
         try:
             config = zenoh.Config.from_file(str(config_file))
@@ -143,7 +197,7 @@ class Router:
                 config.insert_json5("downsampling", json.dumps(limits.rates(keys.users)))
                 config.insert_json5("qos/network", json.dumps(limits.priorities(keys.users)))
             config.insert_json5("low_pass_filter", json.dumps(limits.sizes()))
-            self._session = zenoh.open(config)
+            self._session = _open(config, ROUTER_THREADS)
         except zenoh.ZError as error:
             where = listen or f"the endpoint in {config_file}"
             raise BusError(
@@ -182,7 +236,7 @@ class Router:
 
     def close(self) -> None:
         """Stop routing; clients notice at once."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        leave(self._session)
 
 
 def _keep_little_memory() -> None:

@@ -27,7 +27,7 @@ from mdb_protocol.keys import Key
 from mdb_protocol.messages import Message
 from mdb_protocol.waiting import Raw
 from mdb_services import log_records
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.shell.place import Place
 
 log = structlog.get_logger()
@@ -139,7 +139,6 @@ class Recorder:
             if self._file is None:
                 self._begin()
             write()
-            self._place.check()
         except OSError as error:
             if not self._retry_s:
                 log.error("cannot write the run log; until it can, what is said is not recorded", reason=str(error))
@@ -163,6 +162,7 @@ class Recorder:
     def _flush(self) -> None:
         assert self._file is not None
         self._file.flush()
+        self._place.check()
         self._unflushed = 0
 
     def _write(self, raw: Raw, message: Message) -> None:

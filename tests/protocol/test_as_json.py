@@ -87,3 +87,23 @@ def test_another_type_or_version_is_a_decode_error() -> None:
     for encoding in (codec.encoding_of(messages.Pair), "application/msgpack;mdb=1;Finished", ""):
         with pytest.raises(DecodeError, match="encoding is"):
             as_json.decode(messages.Finished, text, encoding)
+
+
+@pytest.mark.parametrize(
+    "junk",
+    [
+        b"\xd4\x05\x00",  # an extension type that nobody knows
+        b"\xd4\x01\x00",  # an array that is none
+        b"\x81\x01\x02",  # a number as a key
+        b"\xa1\xff",  # no text
+        b"\x91" * 2000 + b"\xc0",
+    ],
+)
+def test_junk_in_a_field_that_this_version_does_not_know_costs_no_more_than_that_field(junk: bytes) -> None:
+    payload = b"\x82" + msgpack.packb("iterations") + b"\x03" + msgpack.packb("why") + junk
+    message = messages.Finished(iterations=3)
+    try:
+        codec.decode(messages.Finished, payload, codec.encoding_of(messages.Finished))
+    except DecodeError:
+        return  # it is not even read
+    assert json.loads(as_json.encode(message, payload))["iterations"] == 3

@@ -40,10 +40,9 @@ def check_finite(what: str, values: Mapping[str, float | list[float]] | Mapping[
     """Raise ValueError when a number is not finite or is beyond `VALUE_BOUND`."""
     if values is None:
         return
-    items = values.items() if isinstance(values, Mapping) else ((what, values),)
-    for name, value in items:
+    for name, value in ((what, values),) if isinstance(values, float | int) else values.items():
         for number in value if isinstance(value, list) else (value,):
-            if not math.isfinite(number) or abs(number) > VALUE_BOUND:
+            if not -VALUE_BOUND <= number <= VALUE_BOUND:  # nor is what is no number
                 raise ValueError(f"{what}: {name} is {number!r}; expected a finite number within ±{VALUE_BOUND:g}")
 
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import threading
 import time
-from contextlib import suppress
 from typing import Any
 
 import zenoh
 from zenoh.handlers import Callback
 
 from mdb_protocol.errors import BusError
-from mdb_protocol.zenoh_sessions import open_client
+from mdb_protocol.zenoh_sessions import leave, open_client
 from mdb_sim.bodies.ros2 import messages, names
 from mdb_sim.bodies.ros2.names import Endpoint, Topic
 from mdb_sim.bodies.ros2.options import Ros2Options
@@ -124,7 +123,4 @@ class Ros2Node:
                 return
             self._closed = True
         self.wake()
-        for declared in reversed(self._declared):
-            with suppress(zenoh.ZError):
-                declared.undeclare()
-        self._session.close()  # type: ignore[no-untyped-call]
+        leave(self._session, self._declared[::-1])

@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from mdb_protocol.converting import convert
-from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
+from mdb_protocol.endpoints import USUAL
 from mdb_sim.bodies.ros2.names import resolved
 from mdb_sim.body import Actuator, BodyError, Sensor, Spec
 
@@ -74,7 +74,7 @@ def _turns() -> dict[str, Drive]:
 class Ros2Options(_Section, frozen=True, kw_only=True):
     """See the module's docstring. Defaults: the paper's robot as far as it has them, else ours."""
 
-    connect: str = DEFAULT_ENDPOINT
+    connect: str = USUAL
     """The ROS 2 router, as `rmw_zenohd` listens."""
     domain: Annotated[int, Meta(ge=0, le=232)] = 0
     """`ROS_DOMAIN_ID`."""
