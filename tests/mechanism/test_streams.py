@@ -28,3 +28,10 @@ def test_key_is_the_same_in_another_process() -> None:
 def test_negative_counter_is_refused() -> None:
     with pytest.raises(ValueError, match="count steps from zero"):
         streams.generator(1, "x", -1)
+
+
+@pytest.mark.parametrize("key", [(0, 0), (2**64 - 5, 77)])
+def test_a_generator_is_numpys_of_that_key_and_counter(key: tuple[int, int]) -> None:
+    counter = np.array([0, 3, 9, 2**63], np.uint64)
+    numpys = np.random.Generator(np.random.Philox(key=key[0] + (key[1] << 64), counter=counter))
+    assert np.array_equal(streams.philox(key, (0, 3, 9, 2**63)).random(9), numpys.random(9))

@@ -18,7 +18,7 @@ from mcap.writer import Writer
 from mdb_deploy.experiments import experiment_path
 from mdb_protocol import codec, keys
 from mdb_protocol.messages import Message
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.recorder import read_log
 from mdb_sim.runs.compare import timeless
 from mdb_sim.runs.experiment import Experiment

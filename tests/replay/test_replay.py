@@ -19,7 +19,7 @@ from mdb_protocol.bus import read
 from mdb_protocol.errors import MdbError
 from mdb_protocol.memory_bus import MemoryBus
 from mdb_protocol.messages import Message
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.recorder import Recorded, Recorder, read_log
 from mdb_services.shell.service import Service
 from mdb_sim.runs import replay as module

@@ -136,6 +136,15 @@ def test_junk_is_counted_and_not_recorded(tmp_path: Path) -> None:
     assert rig.read() == [("pair", 0), ("pair", 1)]
 
 
+def test_junk_in_a_field_that_nobody_knows_does_not_break_the_log(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    payload = b"\x82\xaaiterations\x05\xa3why\xd4\x05\x00"  # an extension type that there is not
+    rig.junk(keys.FINISHED.at(BRAIN), payload, codec.encoding_of(messages.Finished))
+    rig.say(keys.PAIR, pair(1))
+    rig.stop()
+    assert [r.message for r in read_log(tmp_path)] == [messages.Finished(iterations=5), pair(1)]
+
+
 def test_more_keys_and_encodings_than_a_log_file_has_room_for_begin_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,5 +57,6 @@ def prequential(models: Mapping[str, Known], pair: messages.Pair) -> dict[str, f
     for name, (codebook, network, _) in models.items():
         inputs, targets = codebook.input_rows(facts), codebook.target_rows(facts)
         if inputs is not None and targets is not None:
-            errors[name] = float(np.square(network.predict(inputs) - targets).mean())
+            squares = np.square(network.predict(inputs) - targets)
+            errors[name] = float(np.add.reduce(squares, axis=None) / squares.size)
     return errors

@@ -6,6 +6,7 @@ Owns the policy of several teachers. Pure: the optimizer hands in what came and 
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 from typing import Any, NamedTuple
 
 from mdb_protocol import messages
@@ -141,6 +142,11 @@ class Teachers:
         """Whether the teacher who commanded has said what he thinks of it, or that he will later."""
         return teacher is None or teacher in self._nameless or teacher in self._feedback.get(iteration, {})
 
+    @property
+    def spoken_of(self) -> Container[int]:
+        """The iterations for which there is feedback, if only that it comes later."""
+        return self._feedback
+
     def verdict(self, iteration: int, teacher: str | None) -> Verdict:
         """Return the feedback for an iteration in which `teacher` commanded (None: nobody).
 
@@ -155,10 +161,15 @@ class Teachers:
 
     def forget(self, before: int, feedback_before: int) -> None:
         """Drop commands for iterations below `before` and feedback for those below `feedback_before`."""
-        self._commands = {i: said for i, said in self._commands.items() if i >= before}
-        self._feedback = {i: said for i, said in self._feedback.items() if i >= feedback_before}
-        self._asked = {i: asked for i, asked in self._asked.items() if i >= before}
-        self._asked_feedback = {i: asked for i, asked in self._asked_feedback.items() if i >= feedback_before}
+        _forget(self._commands, before)
+        _forget(self._feedback, feedback_before)
+        _forget(self._asked, before)
+        _forget(self._asked_feedback, feedback_before)
+
+
+def _forget(kept: dict[int, Any], before: int) -> None:
+    for iteration in [iteration for iteration in kept if iteration < before]:
+        del kept[iteration]
 
 
 def _bound(kept: dict[int, Any], most: int) -> None:

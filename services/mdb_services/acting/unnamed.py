@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import msgspec
 import numpy as np
 
 from mdb_protocol import messages
 from mdb_services.acting.teachers import KEPT_TEACHERS
 from mdb_services.experiment.brain import BrainConfig
 from mdb_services.mechanism.feedback.credit import Credit
-from mdb_services.mechanism.networks.encoding import Codebook
+from mdb_services.mechanism.networks.encoding import Codebook, Facts
 from mdb_services.mechanism.networks.network import Floats
 from mdb_services.shell.facts import facts_of
 
@@ -32,8 +31,8 @@ class Unnamed:
         self._books = [Codebook(variables, m.inputs, m.outputs) for m in models if "feedback" not in m.inputs]
         self._lags = min(config.optimizer.most_late + 1, config.optimizer.feedback_window)
         self._patience = config.optimizer.feedback_window - self._lags
-        self._rows: dict[int, list[Floats]] = {}
-        """What each model reads of the last pairs, (w,) each, by iteration."""
+        self._pairs: dict[int, messages.Pair] = {}
+        """The last pairs, by iteration."""
         self._said: dict[str, list[float]] = {}
         """What each teacher has said since the last action."""
         self._credits: dict[str, Credit] = {}
@@ -42,10 +41,9 @@ class Unnamed:
         """The iteration for which the last feedback was taken in."""
 
     def remember(self, pair: messages.Pair) -> None:
-        """Keep what the models read of a pair as long as feedback may be for it."""
-        facts = facts_of(msgspec.structs.replace(pair, feedback=None))
-        self._rows = {i: rows for i, rows in self._rows.items() if i > pair.iteration - self._lags}
-        self._rows[pair.iteration] = [_row(book, book.input_rows(facts)) for book in self._books]
+        """Keep a pair as long as feedback may be for it."""
+        self._pairs = {i: kept for i, kept in self._pairs.items() if i > pair.iteration - self._lags}
+        self._pairs[pair.iteration] = pair
 
     def hear(self, feedback: messages.Feedback) -> None:
         """Keep what a teacher says of some action of late; "not now" is nothing."""
@@ -70,11 +68,12 @@ class Unnamed:
     def _take_in(self, now: int) -> None:
         """Hand on what each teacher has said, in the order of their names: the same however it came."""
         said, self._said = self._said, {}
+        rows = self._rows_before(now) if said else []
         for teacher in sorted(said):
             if len(said[teacher]) <= self._lags:
                 credit = self._credit_of(teacher)
                 for value in said[teacher]:
-                    credit.hear(now, self._rows_before(now), value)
+                    credit.hear(now, rows, value)
 
     def _credit_of(self, teacher: str) -> Credit:
         credit = self._credits.pop(teacher, None)
@@ -88,9 +87,9 @@ class Unnamed:
 
     def _rows_before(self, now: int) -> list[Floats]:
         """Return for each model (lags, w): what it reads of the pairs before iteration `now`, the newest first."""
-        nothing = [_row(book, None) for book in self._books]
-        pairs = [self._rows.get(now - 1 - lag, nothing) for lag in range(self._lags)]
-        return [np.stack(rows) for rows in zip(*pairs, strict=True)]
+        pairs = [self._pairs.get(now - 1 - lag) for lag in range(self._lags)]
+        facts: list[Facts] = [{} if pair is None else facts_of(pair) for pair in pairs]
+        return [np.stack([_row(book, book.input_rows(known)) for known in facts]) for book in self._books]
 
     def values(self) -> dict[str, float]:
         """How many iterations late each teacher is, at the least and at the most, where it is known."""

@@ -62,10 +62,11 @@ class Verdicts:
         """
         for iteration, feedback in self._unnamed.credited(now):
             self._teachers.credit(iteration, feedback)
-        for pair in list(self._unjudged.values()):
-            with_feedback = self.judged(pair)
+        spoken_of = self._teachers.spoken_of
+        for iteration in [iteration for iteration in self._unjudged if iteration in spoken_of]:
+            with_feedback = self.judged(self._unjudged[iteration])
             if with_feedback.feedback is not None:
-                del self._unjudged[pair.iteration]
+                del self._unjudged[iteration]
                 yield with_feedback
 
     def remember(self, pair: messages.Pair, now: int) -> None:
@@ -74,7 +75,8 @@ class Verdicts:
             self._unjudged[pair.iteration] = pair
         self._unnamed.remember(pair)
         oldest = now - self._window
-        self._unjudged = {i: kept for i, kept in self._unjudged.items() if i >= oldest}
+        for iteration in [iteration for iteration in self._unjudged if iteration < oldest]:
+            del self._unjudged[iteration]
         self._praise.forget(oldest)
         self._teachers.forget(before=now, feedback_before=oldest)
 

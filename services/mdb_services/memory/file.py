@@ -205,8 +205,9 @@ class MemoryFile:
             raise
 
     def _write(self, effect: Effects) -> None:
-        recalled = [(id, codec.encode(pair)) for id, pair in effect.recalled.items()]
-        self._db.executemany("INSERT INTO recalled VALUES (?, ?)", recalled)
+        if effect.recalled:
+            recalled = [(id, codec.encode(pair)) for id, pair in effect.recalled.items()]
+            self._db.executemany("INSERT INTO recalled VALUES (?, ?)", recalled)
         for change in effect.changes:
             written = zip(change.slots.tolist(), change.pairs.tolist(), strict=True)
             rows = [*written, *((slot, None) for slot in change.freed.tolist())]
@@ -217,15 +218,17 @@ class MemoryFile:
             )
             step = (change.model, change.version, codec.encode(change))
             self._db.execute("INSERT INTO step VALUES (?, ?, ?)", step)
-            self._db.execute(
-                "DELETE FROM step WHERE model = ? AND version <= ?", (change.model, change.version - STEPS_KEPT)
-            )
+            if change.version > STEPS_KEPT:
+                self._db.execute(
+                    "DELETE FROM step WHERE model = ? AND version <= ?", (change.model, change.version - STEPS_KEPT)
+                )
             if effect.context is not None and change.version == effect.context.version:
                 self._db.execute("INSERT INTO context VALUES (?, ?, ?, ?)", (change.model, *effect.context))
                 seeds = [(change.model, place, codec.encode(seed)) for place, seed in enumerate(change.seeds)]
                 self._db.execute("DELETE FROM seed WHERE model = ?", (change.model,))
                 self._db.executemany("INSERT INTO seed VALUES (?, ?, ?)", seeds)
-        self.keep_long_term(effect.long_term)
+        if effect.long_term:
+            self.keep_long_term(effect.long_term)
         for id in effect.forgotten:
             self._db.execute("DELETE FROM long_term WHERE model = ? AND id = ?", (effect.changes[0].model, id))
 
@@ -342,9 +345,11 @@ class MemoryFile:
         )
         return [(int(version), float(error)) for version, error in rows]
 
-    def keep_model(self, model: messages.CurrentModel) -> None:
-        """Keep the last current model of a name."""
-        self._db.execute("INSERT OR REPLACE INTO model VALUES (?, ?)", (model.model, codec.encode(model)))
+    def keep_models(self, models: Iterable[messages.CurrentModel]) -> None:
+        """Keep the last current model of each name."""
+        rows = [(model.model, codec.encode(model)) for model in models]
+        with self._transaction():
+            self._db.executemany("INSERT OR REPLACE INTO model VALUES (?, ?)", rows)
 
     def models(self) -> dict[str, messages.CurrentModel]:
         """Return the kept models by name."""

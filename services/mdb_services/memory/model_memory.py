@@ -19,7 +19,7 @@ from mdb_services.experiment.sections import ModelSection
 from mdb_services.mechanism.memories.context import ContextDetector
 from mdb_services.mechanism.memories.ltm import LongTermMemory, Stability, Stored, Trial, sample_of
 from mdb_services.mechanism.memories.stm import Change, MemoryConfig, ShortTermMemory
-from mdb_services.mechanism.networks.encoding import Codebook
+from mdb_services.mechanism.networks.encoding import Codebook, Facts
 from mdb_services.mechanism.networks.network import Floats, Network
 from mdb_services.memory.file import Context, Effects, MemoryFile
 from mdb_services.shell.facts import facts_of
@@ -29,6 +29,8 @@ Rows = tuple[Floats, Floats]
 NOISY = 0.2
 """The usual error at which unlike outcomes of like pairs are taken for a teacher's mistakes: then they do not make
 pairs unlike, and the older one leaves. Below it they count the more the smaller it is (ours)."""
+GRADES = 8
+"""How much they count has so many grades: only where it changes are all distances in a memory measured anew."""
 
 Kind = Literal["changed", "known", "stored", "recalled"]
 
@@ -43,6 +45,9 @@ class ModelMemory:
         self._reads = config.reads(section)
         self._experiment = config.experiment
         self._relevance = config.memory_of(section)
+        self._graded = [
+            replace(self._relevance, outcome=grade / GRADES * self._relevance.outcome) for grade in range(GRADES + 1)
+        ]
         self._context = config.context_of(section)
         self.stm = ShortTermMemory(section.capacity, self.codebook.width, self.codebook.output_width, self._relevance)
         self._detector = ContextDetector(self._context)
@@ -59,7 +64,7 @@ class ModelMemory:
         for model in file.long_term(self.name):
             self._take_stored(model)
         entries = file.entries(self.name)
-        rows = [self._rows(entry.pair) for entry in entries]
+        rows = [self._rows(facts_of(entry.pair)) for entry in entries]
         known = [row for row in rows if row is not None]
         if len(known) < len(rows):
             raise ValueError(f"its pairs do not fit model {self.name}: they are of another experiment")
@@ -100,7 +105,7 @@ class ModelMemory:
         return True
 
     def _take_stored(self, model: messages.LongTermModel) -> None:
-        rows = [self._rows(pair) for pair in model.pairs]
+        rows = [self._rows(facts_of(pair)) for pair in model.pairs]
         known = [row for row in rows if row is not None]
         if list(model.reads.items()) != list(self._reads.items()) or len(known) < len(rows) or not rows:
             raise ValueError(f"model {model.model} {model.id} of the long-term memory reads other variables")
@@ -125,24 +130,23 @@ class ModelMemory:
     def _setting(self) -> MemoryConfig:
         if self._detector.changing:
             return self._context.temporal
-        told_apart = max(0.0, 1 - self._detector.usual / NOISY)
-        return replace(self._relevance, outcome=told_apart * self._relevance.outcome)
+        return self._graded[round(GRADES * max(0.0, 1 - self._detector.usual / NOISY))]
 
-    def _rows(self, pair: messages.Pair) -> Rows | None:
-        facts = facts_of(pair)
+    def _rows(self, facts: Facts) -> Rows | None:
         inputs, targets = self.codebook.input_rows(facts), self.codebook.target_rows(facts)
         return None if inputs is None or targets is None else (inputs, targets)
 
     def reads(self, pair: messages.Pair) -> bool:
         """Whether a pair has all that this model's rows consist of."""
-        return self._rows(pair) is not None
+        return self._rows(facts_of(pair)) is not None
 
-    def enter(self, pair: messages.Pair, recalled_ids: Iterator[int]) -> Effects | None:
-        """Take a pair in; return what it did, None when it lacks a variable or is stored already.
+    def enter(self, pair: messages.Pair, facts: Facts, recalled_ids: Iterator[int]) -> Effects | None:
+        """Take a pair in, of which these are the facts; return what it did, None when it lacks a variable or is
+        stored already.
 
         recalled_ids are ids for pairs that come back from the long-term memory.
         """
-        rows = self._rows(pair)
+        rows = self._rows(facts)
         if rows is None:
             return None
         error = None if self.network is None else float(self._errors(*rows)[0])
@@ -288,7 +292,8 @@ class ModelMemory:
         """Return the current model's mean squared error on each row (n,); 0 without a model."""
         if self.network is None or not len(inputs):
             return np.zeros(len(inputs), np.float32)
-        errors: Floats = np.square(self.network.predict(inputs) - targets).mean(axis=1)
+        squares = np.square(self.network.predict(inputs) - targets)
+        errors: Floats = np.add.reduce(squares, axis=1) / squares.shape[1]
         return errors
 
     def snapshot(self) -> messages.MemorySnapshot:

@@ -26,6 +26,7 @@ from mdb_services.experiment.brain import BrainConfig
 from mdb_services.memory.file import PAGE, SCHEMA, Effects, MemoryFile
 from mdb_services.memory.model_memory import ModelMemory
 from mdb_services.memory.reading import Reader, Row, copy, foreign, held
+from mdb_services.shell.facts import facts_of
 
 M = TypeVar("M", bound=Message)
 
@@ -127,7 +128,7 @@ def rescue(path: Path, config: BrainConfig, out: Path) -> Salvage:
         _refill(file, config, found)
         for model in found.models:
             version = min(model.version, file.version(model.model))
-            file.keep_model(msgspec.structs.replace(model, version=version))
+            file.keep_models([msgspec.structs.replace(model, version=version)])
     return found
 
 
@@ -140,7 +141,7 @@ def _refill(file: MemoryFile, config: BrainConfig, found: Salvage) -> None:
         usable = [i for i in sorted(found.pairs) if memory.reads(found.pairs[i][0])]
         for iteration in usable[-section.capacity :]:
             pair, stored = found.pairs[iteration]
-            effects: Effects | None = memory.enter(pair, count(-1, -1))
+            effects: Effects | None = memory.enter(pair, facts_of(pair), count(-1, -1))
             if effects is not None:
                 file.add(pair, stored, [effects])
 

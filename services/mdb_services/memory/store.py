@@ -25,6 +25,7 @@ from mdb_services.mechanism.networks.network import Network
 from mdb_services.memory.file import Effects, MemoryFile
 from mdb_services.memory.model_memory import ModelMemory
 from mdb_services.shell.elsewhere import Elsewhere
+from mdb_services.shell.facts import facts_of
 
 log = structlog.get_logger()
 
@@ -112,11 +113,12 @@ class MemoryStore:
 
     def step(self) -> bool:
         """Take the newest models, then every pair that has come, or those for which there is time."""
-        moved, began_s = False, self._clock()
-        for model in self._models.some():
-            moved = True
-            if model.model in self._memories and self._remember(model):
-                self._written(lambda model=model: self._file.keep_model(model))  # type: ignore[misc]
+        began_s = self._clock()
+        models = list(self._models.some())
+        newest = {model.model: model for model in models if self._remember(model)}
+        moved = bool(models)
+        if newest:
+            self._written(lambda: self._file.keep_models(newest.values()))
         for inbox in self._checkpoints:
             for checkpoint in inbox.some():
                 moved = True
@@ -275,7 +277,8 @@ class MemoryStore:
         until = self._config.store.learns_until
         learnt = until is None or pair.iteration < until
         memories = [m for m in self._memories.values() if learnt and (unjudged is None or not m.reads(unjudged))]
-        entered = (memory.enter(pair, self._recalled_ids) for memory in memories)
+        facts = facts_of(pair)
+        entered = (memory.enter(pair, facts, self._recalled_ids) for memory in memories)
         effects = [effect for effect in entered if effect is not None]
         versions = {name: memory.stm.version for name, memory in self._memories.items()}
         judged = pair.feedback is not None

@@ -13,7 +13,7 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import IterationReport, Scene
 from mdb_services.acting.optimizer import Optimizer
 from mdb_services.evolver import Evolver
-from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.hearing.ear import Ear
 from mdb_services.memory.file import MemoryFile
 from mdb_services.memory.store import MemoryStore
@@ -51,16 +51,16 @@ def run_experiment(
     services.append(Optimizer(bus(), brain, expected=experiment.scripted_teachers))
     watcher = bus()
     finished = watcher.subscriber(keys.FINISHED)
-    reports = watcher.subscriber(keys.ITERATION)
-    scenes = watcher.subscriber(keys.SCENE)
+    heard = [
+        (watcher.subscriber(key), tell)
+        for key, tell in ((keys.SCENE, on_scene), (keys.ITERATION, on_iteration))
+        if tell
+    ]
 
     def over() -> bool:
-        while (scene := scenes.take()) is not None:
-            if on_scene is not None:
-                on_scene(scene)
-        while (report := reports.take()) is not None:
-            if on_iteration is not None:
-                on_iteration(report)
+        for inbox, tell in heard:
+            while (message := inbox.take()) is not None:
+                tell(message)
         return finished.take() is not None or stop()
 
     run_inline(services, over)

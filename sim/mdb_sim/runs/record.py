@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from mdb_protocol.errors import DamageError
 from mdb_protocol.messages import Control, CurrentModel, IterationReport, Lesson, Message, Pair, Phase, Scene, Timing
 from mdb_services.acting.models import prequential
-from mdb_services.experiment.brain import EXPERIMENT_FILE, BrainConfig
+from mdb_services.experiment.brain import BrainConfig
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.mechanism.actions.foresight import Known
 from mdb_services.mechanism.networks.encoding import Codebook
 from mdb_services.mechanism.networks.network import Network

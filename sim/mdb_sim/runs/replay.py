@@ -29,7 +29,7 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.waiting import Raw
 from mdb_services import evolver
 from mdb_services.acting import optimizer, teachers
-from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.experiment.run_folder import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.hearing import ear
 from mdb_services.memory import store as memory_store
 from mdb_services.memory.file import MemoryFile

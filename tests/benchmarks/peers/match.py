@@ -1,4 +1,4 @@
-"""The measurements: contestants take turns on one core, so that a disturbance meets all of them.
+"""The measurements: contestants take turns on the same cores, so that a disturbance meets all of them.
 
 Owns the processes and the order of turns. What the numbers mean is in `results`.
 """
@@ -9,7 +9,7 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +64,8 @@ Results = dict[str, Any]
 class Library:
     """The process in which a library's contestants run."""
 
-    def __init__(self, name: str, core: int) -> None:
-        command = [sys.executable, "-m", "tests.benchmarks.peers.worker", str(core)]
+    def __init__(self, name: str, cores: Iterable[int]) -> None:
+        command = [sys.executable, "-m", "tests.benchmarks.peers.worker", *map(str, cores)]
         pipe = subprocess.PIPE
         self.name = name
         self._process = subprocess.Popen(
@@ -104,11 +104,11 @@ def installed() -> list[str]:
 class Match:
     """All measurements of one run."""
 
-    def __init__(self, core: int) -> None:
+    def __init__(self, cores: Collection[int]) -> None:
         self.names = installed()
-        self.core = core
+        self.cores = cores
         libraries = dict.fromkeys(ENTRIES[name].library for name in self.names)
-        self.libraries = {library: Library(library, core) for library in libraries}
+        self.libraries = {library: Library(library, cores) for library in libraries}
 
     def close(self) -> None:
         """End all processes."""
@@ -136,6 +136,10 @@ class Match:
         results["load"] = [began, os.getloadavg()]
         return results
 
+    def generations(self) -> list[Results]:
+        """Return the times of whole generations of the fastest forms."""
+        return [self._turns(self.present(GROWING), *case, REPEATS) for case in CASES]
+
     def _machine(self) -> Results:
         models = {line.partition(":")[2].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")}
         versions = {}
@@ -144,7 +148,7 @@ class Match:
         return {
             "processor": ", ".join(sorted(models)) or platform.processor(),
             "cores": os.cpu_count(),
-            "core": self.core,
+            "core": ", ".join(map(str, self.cores)),
             "python": platform.python_version(),
             "versions": versions,
         }

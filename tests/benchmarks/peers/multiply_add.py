@@ -20,8 +20,8 @@ DEPTH, LENGTH = 8, 64
 LANES, CHAINS = 16, 12
 """The wide loop: accumulators of so many numbers; fewer than 8 of them would wait for one another."""
 FUSED = ("contract",)
-TANH_OPERATIONS = 9
-"""Instructions a tanh costs at least: 6 multiply-adds of its two polynomials, two products, a quotient."""
+TANH_OPERATIONS = 6
+"""Instructions a tanh costs at least: 4 multiply-adds, a product, a rough quotient."""
 SIZES = (("communication", 500, 200), ("communication", 2000, 500), ("object", 500, 200))
 
 

@@ -82,8 +82,9 @@ def oracle(problem: Problem, genomes: Floats) -> NDArray[np.float64]:
 def record(run: Path, path: Path) -> None:
     """Write the short-term memories of a run, from its experiment file and its log."""
     from mdb_protocol.messages import Pair
-    from mdb_services.experiment.brain import EXPERIMENT_FILE, brain_config
+    from mdb_services.experiment.brain import brain_config
     from mdb_services.experiment.reading import read_file
+    from mdb_services.experiment.run_folder import EXPERIMENT_FILE
     from mdb_services.mechanism.memories.stm import ShortTermMemory
     from mdb_services.mechanism.networks.encoding import Codebook, gather
     from mdb_services.recorder import read_log

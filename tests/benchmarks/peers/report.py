@@ -12,6 +12,7 @@ from tests.benchmarks.peers.problem import HIDDEN, recorded
 from tests.benchmarks.peers.results import (
     MAIN_NETWORK,
     case,
+    clock,
     exponent,
     growth,
     least_s,
@@ -31,7 +32,7 @@ RATE_TARGET = 0.35
 def markdown(results: Results) -> str:
     """Return all tables."""
     parts = [_header(results), _targets(results), _generations(results), _rates(results), _reached(results)]
-    return "\n\n".join([*parts, _growth(results), _starts(results)]) + "\n"
+    return "\n\n".join([*parts, _wider(results), _growth(results), _starts(results)]) + "\n"
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
@@ -135,6 +136,20 @@ def _generations(results: Results) -> str:
         parts.append(f"### {here['network']} network, {here['population']}x{here['pairs']}\n\n{table(head, rows)}")
         parts.append(f"A call of `learn` measures the population first; that and its checks: {fixed}.")
     return "\n\n".join(parts)
+
+
+def _wider(results: Results) -> str:
+    """Compare the clock's times on two cores with those on one, where the processor's are the clock's."""
+    rows = []
+    for here, wide in zip(results["generation"], results["wider"], strict=True):
+        size = f"{here['network']}, {here['population']}x{here['pairs']}"
+        for name in match.GROWING:
+            if name in results["names"]:
+                one, two = np.median(processor(here["times"][name])), np.median(clock(wide["times"][name]))
+                ours = np.median(clock(wide["times"]["ours"]))
+                rows.append([size, ENTRIES[name].label, f"{1e3 * one:.3g}", f"{1e3 * two:.3g}", f"{two / ours:.2f}"])
+    head = ["", "contestant", "ms a generation on one core", "ms on two", "times ours on two"]
+    return f"## Two cores\n\n{table(head, rows)}"
 
 
 def _rates(results: Results) -> str:

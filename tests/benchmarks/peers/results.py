@@ -22,6 +22,11 @@ def processor(times: list[list[float]]) -> np.ndarray:
     return np.array([processor_s for processor_s, _ in times])
 
 
+def clock(times: list[list[float]]) -> np.ndarray:
+    """Return the clock's seconds of each repeat."""
+    return np.array([clock_s for _, clock_s in times])
+
+
 def ratios(case: Results, name: str) -> np.ndarray:
     """Return, for each round, how many times as long as ours a contestant's generation took."""
     return processor(case["times"][name]) / processor(case["times"]["ours"])

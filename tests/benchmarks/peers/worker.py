@@ -1,6 +1,6 @@
 """The process of one library: it reads orders, one JSON object a line, and answers each with one.
 
-Pinned to one core, and told to use one thread, before the library is imported.
+Pinned to its cores, and told to use as many threads, before the library is imported.
 """
 
 import importlib
@@ -12,11 +12,15 @@ import traceback
 import warnings
 from typing import Any
 
-ONE_THREAD = {
-    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"),
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-    "JAX_PLATFORMS": "cpu",
-}
+COUNTED = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""What libraries read their number of threads from, JAX apart."""
+
+
+def threads(count: int) -> dict[str, str]:
+    """Return the variables that make libraries use so many threads."""
+    several = str(count > 1).lower()
+    flags = f"--xla_cpu_multi_thread_eigen={several} intra_op_parallelism_threads={count}"
+    return dict.fromkeys(COUNTED, str(count)) | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
 
 
 class Worker:
@@ -109,8 +113,9 @@ def _timed(job: Any) -> tuple[float, float]:
 
 def main() -> None:
     """Answer until the orders end."""
-    os.sched_setaffinity(0, {int(sys.argv[1])})
-    os.environ.update(ONE_THREAD)
+    cores = {int(core) for core in sys.argv[1:]}
+    os.sched_setaffinity(0, cores)
+    os.environ.update(threads(len(cores)))
     warnings.simplefilter("ignore")
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a library prints is no answer

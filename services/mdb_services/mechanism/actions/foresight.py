@@ -111,7 +111,7 @@ def foresee(mode: Mode, models: Models, facts: Facts, tried: Facts) -> Foreseen 
     if world is None:
         return None
     actions = len(next(iter(tried.values())))
-    known = {name: np.repeat(values, actions, axis=0) for name, values in facts.items()} | tried
+    known = {name: values.repeat(actions, axis=0) for name, values in facts.items()} | tried
     rows = world.codebook.input_rows(known)
     if rows is None:
         return None
@@ -130,12 +130,12 @@ def foresee(mode: Mode, models: Models, facts: Facts, tried: Facts) -> Foreseen 
     if mode.reach is None or valued.support is None:
         return Foreseen(sums, np.ones(actions), np.zeros(actions))
     near = nearness(rows, valued.support, mode.reach)
-    return Foreseen(np.clip(sums, -1, 1), near.max(axis=1, initial=0.0), near.sum(axis=1))
+    return Foreseen(np.minimum(np.maximum(sums, -1), 1), near.max(axis=1, initial=0.0), near.sum(axis=1))
 
 
 def nearness(rows: Floats, support: Floats, reach: float) -> NDArray[np.float64]:
     """Return how near each row (m, inputs) is to each pair, inputs (n, inputs): 1 at the pair, less beyond (m, n)."""
-    gaps = [np.square(support - row).sum(axis=1) for row in rows]
+    gaps = [np.add.reduce(np.square(support - row), axis=1) for row in rows]
     return np.exp(-np.array(gaps, dtype=np.float64) / reach**2)
 
 

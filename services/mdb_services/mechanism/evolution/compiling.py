@@ -1,10 +1,9 @@
-"""How functions are compiled, and how those are made that emit instructions of their own.
+"""How functions are compiled, and how those are made that emit instructions of their own."""
 
-What the compiler keeps on disk of a function does not know this file: whoever changes it deletes that.
-"""
-
-from collections.abc import Callable
-from contextlib import suppress
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit
@@ -13,18 +12,45 @@ from numba.extending import intrinsic
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
+VERSION = zlib.crc32(b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py"))))
+"""Changes with the files of this folder: what is kept on disk of one contains what others had then."""
+
 # Sums may be reordered into vectors and fused; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
+
+
+_place = {"kept only": False, "nothing is kept": False}
+
+
+class NotKeptError(Exception):
+    """A function would have to be compiled."""
+
+
+@contextmanager
+def kept_only() -> Iterator[None]:
+    """Compile nothing meanwhile, which takes long: what is not kept on disk raises NotKeptError when it is called."""
+    if _place["nothing is kept"]:
+        raise NotKeptError
+    _place["kept only"] = True
+    try:
+        yield
+    finally:
+        _place["kept only"] = False
 
 
 class _OptionalCache(FunctionCache):
     """What is kept on disk; when that cannot be read or written, a function is compiled as if nothing were kept."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        try:
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        except Exception:
-            return None  # damaged, as by a full disk: what is unpickled may raise anything
+        kept: Any = None
+        with suppress(Exception):  # damaged, as by a full disk: what is unpickled may raise anything
+            kept = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if kept is None and _place["kept only"]:
+            raise NotKeptError
+        return kept
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return (*super()._index_key(sig, codegen), VERSION)  # type: ignore[no-untyped-call]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         with suppress(Exception):  # the same: it reads the index first
@@ -37,12 +63,13 @@ def compiled(function: _Function) -> _Function:
     A check for division by zero would keep loops from becoming vector instructions, hence numpy's error model; so do
     indices that might be negative, hence uint64 in short loops. Each view of an array, and each call that passes a
     tuple of arrays, costs locked instructions to count references: inner loops take whole arrays and indices.
-    The disk keeps code under a function's own file and the types of its arguments only. So what calls functions of
-    `kernel` from another file takes its `VERSION` as the default of an argument: the value is part of the type.
+    The disk keeps code under a function's own file, the types of its arguments, and `VERSION`.
     """
     dispatcher: Any = njit(nogil=True, fastmath=_FAST, error_model="numpy")(function)
-    with suppress(RuntimeError):  # no folder of the compiler's can be written: it compiles in each process
+    try:
         dispatcher._cache = _OptionalCache(function)  # type: ignore[no-untyped-call] # as by cache=True
+    except RuntimeError:  # no folder of the compiler's can be written: it compiles in each process
+        _place["nothing is kept"] = True
     return cast(_Function, dispatcher)
 
 

@@ -14,24 +14,20 @@ population among threads; the same machine gives the same bits each time.
 # ruff: noqa: PLR0917 - compiled functions take arrays by position
 # mypy: allow-untyped-calls
 
-import zlib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import types
+from numba import config, types
 from numba.core import cgutils
 from numba.core.codegen import get_host_cpu_features
 from numba.core.errors import TypingError
 
 from mdb_services.mechanism.evolution.compiling import compiled, emitted
 
-VERSION = zlib.crc32(Path(__file__).read_bytes())
-"""Changes with this file."""
-
-LANES = 16 if "+avx512f" in get_host_cpu_features() else 8
+_FEATURES = get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES  # type: ignore[attr-defined]
+LANES = 16 if "+avx512f" in _FEATURES else 8
 """Pairs in a vector: one register of AVX-512 or AVX, two of smaller processors."""
 
 VECTORS = 3
@@ -43,14 +39,14 @@ BLOCK = LANES * VECTORS
 UNITS = (4, 2, 1)
 """Units taken through the pairs together: as many fours as there are, then what is left."""
 
-TANH_ERROR = 7e-7
-"""Bound of the absolute error of `tanh32`, over all float32 numbers."""
+TANH_ERROR = 1e-4
+"""Bound of the absolute error of a hidden unit's tanh, over all float32 numbers."""
 
-# tanh(x) = x P(x^2) / Q(x^2) up to the limit, constant beyond (ours): fitted by least squares that are weighted anew
-# until all maxima of the error are alike, and chosen so that no result is beyond 1. Highest power first.
-_LIMIT = 7.9
-_P = (-6.1403305e-09, 7.1508625e-06, 2.6935479e-03, 1.2708731e-01, 9.9999917e-01)
-_Q = (1.9645708e-04, 2.2836069e-02, 4.6041757e-01, 1.0)
+# tanh(x) = x (A + (B u + C) / (u^2 + E)) with u = x^2 + D up to the limit, constant beyond (ours). Any quotient of
+# two quadratics in x^2 has this form, the one with the fewest instructions. Fitted for the least maximum of the error
+# together with what a rough division adds, 2^-14 of the quotient, and so that no result is beyond 1.
+_LIMIT = 5.0
+_A, _B, _C, _D, _E = 0.0517993160, 6.27023983, -32.7830391, 17.2101669, -216.933945
 
 LINE = 64
 """Bytes of a cache line: a vector that lies across two is read twice."""
@@ -76,37 +72,41 @@ class _Plan(NamedTuple):
 # ---- LLVM instructions: these functions run when the kernel is compiled, and emit it ----
 
 
-def _constant(like: Any, number: float) -> Any:
-    """Return a constant of the type of a value, a float or a vector."""
-    number = float(np.float32(number))
-    return ir.Constant(like.type, [number] * LANES if like.type == _VECTOR else number)
+def _constant(number: float) -> Any:
+    """Return a vector of one number."""
+    return ir.Constant(_VECTOR, [float(np.float32(number))] * LANES)
 
 
 def _multiply_add(builder: Any, left: Any, right: Any, summand: Any) -> Any:
     return builder.fadd(builder.fmul(left, right, flags=_FUSED), summand, flags=_FUSED)
 
 
-def _polynomial(builder: Any, coefficients: Sequence[float], x: Any) -> Any:
-    value = _constant(x, coefficients[0])
-    for coefficient in coefficients[1:]:
-        value = _multiply_add(builder, value, x, _constant(x, coefficient))
-    return value
-
-
 def _tanh(builder: Any, values: Sequence[Any]) -> list[Any]:
-    """Return tanh of one or two values, floats or vectors; two share a division, the dearest of its instructions."""
-    over, under = [], []
+    """Return tanh of one or two vectors, within `TANH_ERROR` and never beyond 1."""
+    limit, least = _constant(_LIMIT), _constant(-_LIMIT)
+    inside, over, under = [], [], []
     for x in values:
-        for comparison, limit in (("<", _constant(x, _LIMIT)), (">", _constant(x, -_LIMIT))):
-            x = builder.select(builder.fcmp_ordered(comparison, limit, x), limit, x)  # noqa: PLW2901 - NaN stays
-        square = builder.fmul(x, x)
-        over.append(builder.fmul(x, _polynomial(builder, _P, square)))
-        under.append(_polynomial(builder, _Q, square))
-    if len(values) == 1:
-        return [builder.fdiv(*over, *under)]
-    inverse = builder.fdiv(_constant(values[0], 1), builder.fmul(*under))
-    crossed = zip(over, reversed(under), strict=True)
-    return [builder.fmul(builder.fmul(*factors), inverse) for factors in crossed]
+        x = builder.select(builder.fcmp_ordered("<", limit, x), limit, x)  # noqa: PLW2901 - NaN stays
+        x = builder.select(builder.fcmp_ordered(">", least, x), least, x)  # noqa: PLW2901
+        u = _multiply_add(builder, x, x, _constant(_D))
+        inside.append(x)
+        over.append(_multiply_add(builder, u, _constant(_B), _constant(_C)))
+        under.append(_multiply_add(builder, u, u, _constant(_E)))
+    quotients = zip(over, _inverses(builder, under), strict=True)
+    return [
+        builder.fmul(x, _multiply_add(builder, *quotient, _constant(_A)))
+        for x, quotient in zip(inside, quotients, strict=True)
+    ]
+
+
+def _inverses(builder: Any, values: Sequence[Any]) -> list[Any]:
+    """Return 1 / x of one or two vectors: roughly where an instruction does that, else with one division for both."""
+    if LANES == 16:
+        kind = ir.FunctionType(_VECTOR, [_VECTOR, _VECTOR, ir.IntType(16)])
+        rough = cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.avx512.rcp14.ps.512")
+        return [builder.call(rough, [x, x, ir.IntType(16)(-1)]) for x in values]
+    both = builder.fdiv(_constant(1), builder.fmul(values[0], values[-1]))
+    return [builder.fmul(both, x) for x in reversed(values)]
 
 
 def _at(builder: Any, pointer: Any, *steps: Any) -> Any:
@@ -158,26 +158,19 @@ class _Layer(NamedTuple):
         return _at(builder, self.weights, builder.load(_at(builder, self.rows, slot)))
 
 
-def _emit_units(builder: Any, layer: _Layer, unit: Any, units: int, whole: Any, rest: Any) -> None:
-    """Take some units, from a slot on, through whole blocks of pairs and through some vectors of one more."""
+def _emit_units(builder: Any, layer: _Layer, unit: Any, units: int, block: Any, vectors: int) -> None:
+    """Take some units, from a slot on, through the first vectors of a block of pairs."""
     slots = [builder.add(unit, _WORD(u)) for u in range(units)]
     rows = [layer.row(builder, slot) for slot in slots]
     biases = [_spread(builder, builder.load(_at(builder, row, layer.bias))) for row in rows]
 
-    def emit_block(block: Any, vectors: int) -> None:
-        signals = _emit_signals(builder, layer, rows, biases, block, vectors)
-        first, end = layer.receivers
-        with builder.if_then(builder.icmp_signed("==", first, end)):
-            for slot, own in zip(slots, signals, strict=True):
-                for signal, place in zip(own, layer.work.vectors(builder, block, slot, vectors), strict=True):
-                    builder.store(signal, place, align=4)
-        _emit_sending(builder, layer, slots, signals, block)
-
-    with _loop(builder, _WORD(0), whole) as (block, _):
-        emit_block(block, VECTORS)
-    for vectors in range(1, VECTORS):
-        with builder.if_then(builder.icmp_signed("==", rest, _WORD(vectors))):
-            emit_block(whole, vectors)
+    signals = _emit_signals(builder, layer, rows, biases, block, vectors)
+    first, end = layer.receivers
+    with builder.if_then(builder.icmp_signed("==", first, end)):
+        for slot, own in zip(slots, signals, strict=True):
+            for signal, place in zip(own, layer.work.vectors(builder, _WORD(0), slot, vectors), strict=True):
+                builder.store(signal, place, align=4)
+    _emit_sending(builder, layer, slots, signals)
 
 
 def _emit_signals(
@@ -198,14 +191,12 @@ def _emit_signals(
     return [flat[start : start + vectors] for start in range(0, len(flat), vectors)]
 
 
-def _emit_sending(
-    builder: Any, layer: _Layer, slots: Sequence[Any], signals: Sequence[Sequence[Any]], block: Any
-) -> None:
+def _emit_sending(builder: Any, layer: _Layer, slots: Sequence[Any], signals: Sequence[Sequence[Any]]) -> None:
     """Add the weighted signals of units to each receiver's row."""
     columns = [builder.load(_at(builder, layer.columns, slot)) for slot in slots]
     with _loop(builder, *layer.receivers) as (receiver, _):
         row = layer.row(builder, receiver)
-        places = layer.work.vectors(builder, block, receiver, len(signals[0]))
+        places = layer.work.vectors(builder, _WORD(0), receiver, len(signals[0]))
         sums = [builder.load(place, align=4) for place in places]
         for column, own in zip(columns, signals, strict=True):
             weight = _spread(builder, builder.load(_at(builder, row, column)))
@@ -235,16 +226,25 @@ def _check(**arrays: Any) -> None:
 
 
 @emitted
-def _hidden_layer(typingctx: Any, weights: Any, plan: Any, layer: Any, inputs: Any, work: Any, vectors: Any) -> Any:  # noqa: ARG001
-    """Take a hidden layer's units through the first vectors of all pairs.
+def _hidden_layer(
+    typingctx: Any,  # noqa: ARG001
+    weights: Any,
+    plan: Any,
+    layer: Any,
+    inputs: Any,
+    work: Any,
+    block: Any,
+    vectors: Any,
+) -> Any:
+    """Take a hidden layer's units through the first vectors of a block.
 
-    weights: those of all genomes, flat; plan: `_Plan`; inputs (blocks, inputs, BLOCK); work (blocks, slots, BLOCK):
-    the units' signals go to their rows; those of the last hidden layer are weighted and added to the outputs' rows.
+    weights: those of all genomes, flat; plan: `_Plan`; inputs (blocks, inputs, BLOCK); work (1, slots, BLOCK): the
+    units' signals go to their rows; those of the last hidden layer are weighted and added to the outputs' rows.
     """
     _check(weights=weights, inputs=inputs, work=work)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kinds, (weights, plan, layer, inputs, work, vectors) = signature.args, arguments
+        kinds, (weights, plan, layer, inputs, work, block, vectors) = signature.args, arguments
         inputs, work = (_blocks(context, builder, kinds[k], array) for k, array in ((3, inputs), (4, work)))
         tables = zip(kinds[1], cgutils.unpack_tuple(builder, plan), strict=True)
         rows, columns, firsts, ends = (_array(context, builder, *table) for table in tables)
@@ -262,42 +262,44 @@ def _hidden_layer(typingctx: Any, weights: Any, plan: Any, layer: Any, inputs: A
         pointers = (_array(context, builder, kinds[0], weights)[0], rows[0], columns[0])
         bias = builder.sub(units[0], senders[0])
         parts = _Layer(*pointers, bias, source, work, units, senders, receivers)
-        whole, rest = builder.sdiv(vectors, _WORD(VECTORS)), builder.srem(vectors, _WORD(VECTORS))
-        first, end = units
-        for count in UNITS:
-            stop = builder.add(first, builder.and_(builder.sub(end, first), _WORD(-count)))
-            with _loop(builder, first, stop, count) as (unit, _):
-                _emit_units(builder, parts, unit, count, whole, rest)
-            first = stop
+        block = builder.select(is_first, block, _WORD(0))
+        for number in range(1, VECTORS + 1):
+            with builder.if_then(builder.icmp_signed("==", vectors, _WORD(number))):
+                first, end = units
+                for count in UNITS:
+                    stop = builder.add(first, builder.and_(builder.sub(end, first), _WORD(-count)))
+                    with _loop(builder, first, stop, count) as (unit, _):
+                        _emit_units(builder, parts, unit, count, block, number)
+                    first = stop
         return context.get_dummy_value()
 
-    return types.void(weights, plan, layer, inputs, work, vectors), generate
+    return types.void(weights, plan, layer, inputs, work, block, vectors), generate
 
 
 @emitted
-def _set_row(typingctx: Any, work: Any, block: Any, slot: Any, bias: Any, targets: Any, output: Any) -> Any:  # noqa: ARG001
+def _set_row(typingctx: Any, work: Any, slot: Any, bias: Any, targets: Any, block: Any, output: Any) -> Any:  # noqa: ARG001
     """Set a row of work to the bias minus the targets: what units send then makes it the outputs' misses."""
     _check(work=work, targets=targets)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        work, block, slot, bias, targets, output = arguments
-        places = _blocks(context, builder, signature.args[0], work).vectors(builder, block, slot, VECTORS)
-        wanted = _blocks(context, builder, signature.args[4], targets).vectors(builder, block, output, VECTORS)
+        work, slot, bias, targets, block, output = arguments
+        places = _blocks(context, builder, signature.args[0], work).vectors(builder, _WORD(0), slot, VECTORS)
+        wanted = _blocks(context, builder, signature.args[3], targets).vectors(builder, block, output, VECTORS)
         for place, target in zip(places, wanted, strict=True):
             builder.store(builder.fsub(_spread(builder, bias), builder.load(target, align=4)), place, align=4)
         return context.get_dummy_value()
 
-    return types.void(work, block, slot, types.float32, targets, output), generate
+    return types.void(work, slot, types.float32, targets, block, output), generate
 
 
 @emitted
-def _sum_of_squares(typingctx: Any, work: Any, block: Any, slot: Any, count: Any) -> Any:  # noqa: ARG001
+def _sum_of_squares(typingctx: Any, work: Any, slot: Any, count: Any) -> Any:  # noqa: ARG001
     """Return the sum of the squares of the first numbers of a row of work."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        work, block, slot, count = arguments
+        work, slot, count = arguments
         total = zero = ir.Constant(_VECTOR, [0.0] * LANES)
-        places = _blocks(context, builder, signature.args[0], work).vectors(builder, block, slot, VECTORS)
+        places = _blocks(context, builder, signature.args[0], work).vectors(builder, _WORD(0), slot, VECTORS)
         for vector, place in enumerate(places):
             indices = ir.Constant(ir.VectorType(_WORD, LANES), [vector * LANES + lane for lane in range(LANES)])
             counts = builder.icmp_signed("<", indices, _spread(builder, count))
@@ -307,30 +309,10 @@ def _sum_of_squares(typingctx: Any, work: Any, block: Any, slot: Any, count: Any
         add_up = cgutils.get_or_insert_function(builder.module, kind, f"llvm.vector.reduce.fadd.v{LANES}f32")
         return builder.call(add_up, [_FLOAT(0.0), total], fastmath=("reassoc",))
 
-    return types.float32(work, block, slot, count), generate
-
-
-@emitted
-def _two_tanh(typingctx: Any, x: Any, y: Any) -> Any:  # noqa: ARG001
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return context.make_tuple(builder, signature.return_type, _tanh(builder, arguments))
-
-    return types.UniTuple(types.float32, 2)(types.float32, types.float32), generate
+    return types.float32(work, slot, count), generate
 
 
 # ---- compiled Python ----
-
-
-@compiled
-def tanh_pair(x: Any, y: Any) -> Any:
-    """Return tanh of two float32 that share a division, as hidden layers have it."""
-    return _two_tanh(x, y)
-
-
-@compiled
-def tanh32(x: Any) -> Any:
-    """Return tanh of a float32, within `TANH_ERROR` and never beyond 1."""
-    return _two_tanh(x, x)[0]
 
 
 @compiled
@@ -379,22 +361,22 @@ def population_errors(
     rows, firsts, ends = np.empty(slots, np.int64), np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
     firsts[1:], ends[0] = np.cumsum(sizes[:-1]), sizes[0]
     plan, first_output = _Plan(rows, np.arange(slots), firsts, ends), firsts[last]
-    memory = np.empty(blocks * slots * BLOCK + LINE // 4, np.float32)
+    memory = np.empty(slots * BLOCK + LINE // 4, np.float32)
     start = -(memory.ctypes.data // 4) % (LINE // 4)
-    work = memory[start : start + blocks * slots * BLOCK].reshape(blocks, slots, BLOCK)
+    work = memory[start : start + slots * BLOCK].reshape(1, slots, BLOCK)
     genomes = weights.reshape(-1)
     for i in range(weights.shape[0]):
         _find_expressed(promoters, i, sizes, i * weights.shape[1], plan)
-        for block in range(blocks):
-            for output in range(outputs):
-                bias = genomes[rows[first_output + output] + sizes[last - 1]]
-                _set_row(work, block, first_output + output, bias, targets, output)
-        for layer in range(1, last):
-            _hidden_layer(genomes, plan, layer, inputs, work, -(-pairs // LANES))
         total = 0.0
         for block in range(blocks):
+            left = pairs - block * BLOCK
             for output in range(outputs):
-                total += _sum_of_squares(work, block, first_output + output, pairs - block * BLOCK)
+                bias = genomes[rows[first_output + output] + sizes[last - 1]]
+                _set_row(work, first_output + output, bias, targets, block, output)
+            for layer in range(1, last):
+                _hidden_layer(genomes, plan, layer, inputs, work, block, min(-(-left // LANES), VECTORS))
+            for output in range(outputs):
+                total += _sum_of_squares(work, first_output + output, left)
         errors[i] = total / (pairs * outputs)
         if i < squares.size:
             squares[i] = _squared_weights(genomes, plan)

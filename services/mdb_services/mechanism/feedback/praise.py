@@ -8,6 +8,7 @@ that was given of late. Punishment stays as it is: a robot that is never praised
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import islice
 
 LATELY = 200
 """Iterations after which a judgement no longer counts as of late: who comes back after that praises anew."""
@@ -40,11 +41,12 @@ class Praise:
         It is full praise until they have judged as often as the window is long, within `LATELY` iterations.
         """
         judges = self._given[iteration][1]
-        before = sorted((i for i in self._given if iteration - LATELY < i <= iteration), reverse=True)
-        newest = [self._given[i] for i in before[: self._window]]
+        given = (self._given[i] for i in range(iteration, iteration - LATELY, -1) if i in self._given)
+        newest = list(islice(given, self._window))
         enough = 0 < len(newest) == self._window and all(of == judges for _, of in newest)
         return max(feedback for feedback, _ in newest) if enough else FULL
 
     def forget(self, oldest: int) -> None:
         """Forget what no longer counts for an iteration from `oldest` on."""
-        self._given = {i: given for i, given in self._given.items() if i > oldest - LATELY}
+        for i in [i for i in self._given if i <= oldest - LATELY]:
+            del self._given[i]

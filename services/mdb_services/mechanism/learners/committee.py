@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.learners.contract import Arrays, Learner, error_of
+from mdb_services.mechanism.learners.contract import Arrays, Layers, Learner, Memory, error_of
 from mdb_services.mechanism.networks import streams
-from mdb_services.mechanism.networks.network import Floats, Network, Shape
+from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
 
 ON = 20.0
 """The hyperbolic tangent of this is 1 in single precision."""
@@ -42,23 +42,21 @@ class Committee(Learner):
         self._waiting = np.zeros((0, self.shape.weights), np.float32)
         """Seeds (n, weights) that are better than the mean, or were not measured yet; the best is first."""
 
-    def _learn(self, inputs: Floats, targets: Floats, key: int, generations: range) -> None:
+    def _learn(self, memory: Memory, key: int, generations: range) -> None:
         for place, member in enumerate(self._members):
-            member._learn(inputs, targets, streams.key(key, f"member {place}"), generations)
+            member._learn(memory, streams.key(key, f"member {place}"), generations)
         if not len(self._waiting):
             return
-        limit = error_of(self._mean(), inputs, targets)
-        errors = [error_of(seed, inputs, targets) for seed in self._seeds()]
+        limit = error_of(Network(self._mean()), memory.inputs, memory.targets)
+        seeds = [Network.from_arrays(self.shape.sizes, weights) for weights in self._waiting]
+        errors = [error_of(seed, memory.inputs, memory.targets) for seed in seeds]
         self._waiting = self._waiting[[place for place in np.argsort(errors) if errors[place] < limit]]
 
-    def _mean(self) -> Network:
+    def _mean(self) -> Layers:
         return mean([member._best() for member in self._members], self._room)
 
-    def _seeds(self) -> list[Network]:
-        return [Network.from_arrays(self.shape.sizes, weights) for weights in self._waiting]
-
-    def _best(self) -> Network:
-        return next(iter(self._seeds()), self._mean())
+    def _best(self) -> Layers:
+        return split_layers(self.shape.sizes, self._waiting[0]) if len(self._waiting) else self._mean()
 
     def _check_fits(self, network: Network) -> None:
         if network.sizes != self.shape.sizes:
@@ -94,22 +92,28 @@ class Committee(Learner):
             raise
 
 
-def mean(networks: Sequence[Network], room: Shape) -> Network:
-    """Return the network whose sums are the mean of those of `networks`; each takes as much room as `room` says.
+def mean(networks: Sequence[Layers], room: Shape) -> Layers:
+    """Return the layers of the network whose sums are the mean of those of `networks`, given by their layers.
 
-    Each has one unit more in its last hidden layer, which is always on and carries the biases of its outputs: so the
-    mean can be taken apart again.
+    Each takes as much room as `room` says, and one unit more in its last hidden layer, which is always on and carries
+    the biases of its outputs: so the mean can be taken apart again.
     """
-    columns = zip(*(_padded(network, room) for network in networks), strict=True)
-    layers = []
-    for depth, matrices in enumerate(columns):
-        weights, biases = [matrix[:, :-1] for matrix in matrices], [matrix[:, -1:] for matrix in matrices]
-        if depth == len(room.hidden):
-            layers.append(np.hstack([*weights, biases[0]]) / np.float32(len(networks)))
-        else:
-            inwards = np.vstack(weights) if depth == 0 else _block_diagonal(weights)
-            layers.append(np.hstack([inwards, np.vstack(biases)]))
-    return Network(layers)
+    *first, last = room.hidden
+    sizes = (room.inputs, *(units * len(networks) for units in (*first, last + 1)), room.outputs)
+    whole = [np.zeros((after, before + 1), np.float32) for before, after in pairwise(sizes)]
+    *inwards, outwards = whole
+    for place, (*hidden, outs) in enumerate(networks):
+        row = column = 0
+        for own, matrix in zip(hidden, inwards, strict=True):
+            row = place * (len(matrix) // len(networks))
+            units, before = len(own), own.shape[1] - 1
+            matrix[row : row + units, column : column + before] = own[:, :-1]
+            matrix[row : row + units, -1] = own[:, -1]
+            column = row
+        inwards[-1][row + last, -1] = ON
+        outwards[:, row : row + outs.shape[1] - 1], outwards[:, row + last] = outs[:, :-1], outs[:, -1]
+    outwards /= np.float32(len(networks))
+    return whole
 
 
 def parts(network: Network, count: int) -> list[Network]:
@@ -127,27 +131,9 @@ def parts(network: Network, count: int) -> list[Network]:
     return found
 
 
-def _padded(network: Network, room: Shape) -> list[Floats]:
-    """Return a network's layers with idle units up to the shape `room`, and the unit that is always on."""
-    full = [np.zeros((after, before + 1), np.float32) for before, after in pairwise(room.sizes)]
-    for own, place in zip(network.layers, full, strict=True):
-        place[: len(own), : own.shape[1] - 1], place[: len(own), -1] = own[:, :-1], own[:, -1]
-    always = np.zeros((1, full[-2].shape[1]), np.float32)
-    always[0, -1] = ON
-    return [*full[:-2], np.vstack([full[-2], always]), np.hstack([full[-1], np.zeros((room.outputs, 1), np.float32)])]
-
-
 def _without_idle(layers: list[Floats]) -> list[Floats]:
     for depth in range(len(layers) - 2, -1, -1):
         sends = layers[depth + 1][:, :-1].any(axis=0)
         layers[depth] = layers[depth][sends]
         layers[depth + 1] = layers[depth + 1][:, np.append(sends, True)]
     return layers
-
-
-def _block_diagonal(blocks: Sequence[Floats]) -> Floats:
-    rows, columns = blocks[0].shape
-    whole = np.zeros((rows * len(blocks), columns * len(blocks)), np.float32)
-    for place, block in enumerate(blocks):
-        whole[place * rows : (place + 1) * rows, place * columns : (place + 1) * columns] = block
-    return whole

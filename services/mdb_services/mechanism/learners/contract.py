@@ -8,15 +8,32 @@ A learner must not know what the inputs mean, where pairs come from or who uses 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mdb_services.mechanism.evolution.genomes import in_blocks
 from mdb_services.mechanism.networks import streams
 from mdb_services.mechanism.networks.network import Floats, Network, Shape
 
 Arrays = dict[str, NDArray[Any]]
+Layers = Sequence[Floats]
+"""Of a network, see `Network`."""
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What is learnt: inputs (n, inputs) and targets (n, outputs)."""
+
+    inputs: Floats
+    targets: Floats
+
+    @cached_property
+    def blocks(self) -> tuple[Floats, Floats, int]:
+        """The same as compiled code reads it: inputs and targets in blocks, and the number of pairs."""
+        return in_blocks(self.inputs), in_blocks(self.targets), len(self.inputs)
 
 
 @dataclass(frozen=True)
@@ -32,8 +49,10 @@ class Best:
 
 def error_of(network: Network, inputs: Floats, targets: Floats) -> float:
     """Return a network's mean squared error on inputs (n, inputs) and targets (n, outputs); NaN without any."""
+    if not len(inputs):
+        return float("nan")
     misses = network.predict(inputs) - targets
-    return float(np.mean(misses**2, dtype=np.float64)) if len(inputs) else float("nan")
+    return float(np.mean(np.square(misses, out=misses), dtype=np.float64))
 
 
 class Learner(ABC):
@@ -64,9 +83,9 @@ class Learner(ABC):
         if len(inputs):
             first = int(self._clock[1]) if version == self._clock[0] else 0
             end = first + (self.generations if generations is None else generations)
-            self._learn(inputs, targets, streams.key(self._key, f"version {version}"), range(first, end))
+            self._learn(Memory(inputs, targets), streams.key(self._key, f"version {version}"), range(first, end))
             self._clock[:] = version, end
-        network = self._best()
+        network = Network(self._best())
         return Best(network, error_of(network, inputs, targets), network.expressed)
 
     def seed(self, networks: Sequence[Network]) -> None:
@@ -96,15 +115,15 @@ class Learner(ABC):
             setattr(self, f"_{name}", array)
 
     @abstractmethod
-    def _learn(self, inputs: Floats, targets: Floats, key: int, generations: range) -> None:
+    def _learn(self, memory: Memory, key: int, generations: range) -> None:
         """Measure all that is kept on a memory that is not empty, then learn it for these generations.
 
         `key` begins the streams of this memory version; the generations count on over calls with one version.
         """
 
     @abstractmethod
-    def _best(self) -> Network:
-        """Return the network that was best on the last memory; any when there was none."""
+    def _best(self) -> Layers:
+        """Return the layers of the network that was best on the last memory; any when there was none."""
 
     @abstractmethod
     def _seed(self, networks: Sequence[Network]) -> None:

@@ -13,10 +13,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.evolution.genomes import Measure, embed, network_of
-from mdb_services.mechanism.learners.contract import Learner
+from mdb_services.mechanism.evolution.genomes import Measure, embed
+from mdb_services.mechanism.learners.contract import Layers, Learner, Memory
 from mdb_services.mechanism.networks import streams
-from mdb_services.mechanism.networks.network import Floats, Network, Shape
+from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
 from mdb_services.mechanism.settings import DifferentialConfig
 
 CHANGE = 0.1
@@ -43,8 +43,8 @@ class DifferentialEvolution(Learner):
         self._rates = np.full(count, RATE_FIRST, dtype=np.float32)
         self._fitness = np.full(count, np.inf)
 
-    def _learn(self, inputs: Floats, targets: Floats, key: int, generations: range) -> None:
-        measure = Measure(self.shape, inputs, targets)
+    def _learn(self, memory: Memory, key: int, generations: range) -> None:
+        measure = Measure(self.shape, memory.inputs, memory.targets)
         self._fitness = measure(self._weights, self.config.weight_penalty)
         for generation in generations:
             random = streams.generator(key, "generation", generation)
@@ -87,8 +87,8 @@ class DifferentialEvolution(Learner):
         limit = self.config.weight_first
         return random.uniform(-limit, limit, (count, self.shape.weights)).astype(np.float32)
 
-    def _best(self) -> Network:
-        return network_of(self.shape, self._weights[np.argmin(self._fitness)])
+    def _best(self) -> Layers:
+        return split_layers(self.shape.sizes, self._weights[np.argmin(self._fitness)])
 
     def _seed(self, networks: Sequence[Network]) -> None:
         """Put networks into the population in the place of its worst."""

@@ -1,7 +1,7 @@
 """The promoter-based genetic algorithm: a population of networks that learns what a short-term memory holds.
 
-Owns one population, kept between calls (paper, section 2.3). The operators are in ``operators.py``, the errors
-in ``kernel.py``.
+Owns one population, kept between calls (paper, section 2.3). Its generations are in ``generations.py``, the operators
+in ``operators.py``, the errors in ``kernel.py``.
 """
 
 from collections.abc import Sequence
@@ -10,11 +10,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.evolution.genomes import embed, in_blocks
-from mdb_services.mechanism.evolution.operators import Settings, evolve
-from mdb_services.mechanism.learners.contract import Arrays, Learner
+from mdb_services.mechanism.evolution.generations import evolve
+from mdb_services.mechanism.evolution.genomes import embed
+from mdb_services.mechanism.evolution.operators import Settings
+from mdb_services.mechanism.learners.contract import Arrays, Layers, Learner, Memory
 from mdb_services.mechanism.networks import streams
-from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
+from mdb_services.mechanism.networks.network import Network, Shape, split_layers
 from mdb_services.mechanism.settings import EvolutionConfig
 
 
@@ -40,27 +41,27 @@ class PromoterGA(Learner):
 
     def network(self, individual: int) -> Network:
         """Return the network that an individual expresses."""
-        promoters = self._promoters[individual].astype(bool)
-        ends = np.cumsum(self.shape.hidden)[:-1]
-        outputs = np.ones(self.shape.outputs, dtype=bool)
-        receivers = [*np.split(promoters, ends), outputs]
-        senders = [np.ones(self.shape.inputs, dtype=bool), *receivers[:-1]]
-        matrices = split_layers(self.shape.sizes, self._weights[individual])
-        return Network(
-            [
-                matrix[expressed][:, np.append(sending, True)]
-                for matrix, expressed, sending in zip(matrices, receivers, senders, strict=True)
-            ]
-        )
+        return Network(self._expressed_by(individual))
 
-    def _learn(self, inputs: Floats, targets: Floats, key: int, generations: range) -> None:
-        data = (in_blocks(inputs), in_blocks(targets), len(inputs))
+    def _expressed_by(self, individual: int) -> Layers:
+        """Return the layers of the network that an individual expresses."""
+        *hidden, outwards = split_layers(self.shape.sizes, self._weights[individual])
+        promoters, start = self._promoters[individual].astype(bool), 0
+        layers, senders = [], None
+        for matrix in hidden:
+            expressed = promoters[start : start + len(matrix)]
+            layers.append(np.asfortranarray(matrix[expressed]) if senders is None else matrix[expressed][:, senders])
+            start, senders = start + len(matrix), np.concatenate((expressed, (True,)))
+        return [*layers, outwards[:, senders]]
+
+    def _learn(self, memory: Memory, key: int, generations: range) -> None:
         span = (generations.start, generations.stop)
         population = (self._weights, self._promoters, self._steps)
-        evolve(population, self._errors, self._fitness, self._sizes, data, np.uint64(key), span, self._settings)
+        data, settings = memory.blocks, self._settings
+        evolve(population, self._errors, self._fitness, self._sizes, data, np.uint64(key), span, settings)
 
-    def _best(self) -> Network:
-        return self.network(int(np.argmin(self._fitness)))
+    def _best(self) -> Layers:
+        return self._expressed_by(int(self._fitness.argmin()))
 
     def _seed(self, networks: Sequence[Network]) -> None:
         """Put networks into the population in the place of its worst; the units left over are not expressed."""

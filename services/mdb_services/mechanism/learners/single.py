@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mdb_services.mechanism.evolution.genomes import Measure, embed, network_of
-from mdb_services.mechanism.learners.contract import Learner
+from mdb_services.mechanism.evolution.genomes import Measure, embed
+from mdb_services.mechanism.learners.contract import Layers, Learner, Memory
 from mdb_services.mechanism.networks import streams
 from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
 
@@ -30,7 +30,8 @@ class SingleNetwork(Learner):
             matrix[:] = random.normal(0, matrix.shape[1] ** -0.5, matrix.shape)
         self._waiting = self._weights[:0].copy()
 
-    def _learn(self, inputs: Floats, targets: Floats, key: int, generations: range) -> None:
+    def _learn(self, memory: Memory, key: int, generations: range) -> None:
+        inputs, targets = memory.inputs, memory.targets
         if len(self._waiting):
             candidates = np.concatenate([self._weights, self._waiting])
             best = int(np.argmin(Measure(self.shape, inputs, targets)(candidates)))
@@ -40,8 +41,8 @@ class SingleNetwork(Learner):
                 self._begin_anew()
         self._improve(inputs, targets, key, generations)
 
-    def _best(self) -> Network:
-        return network_of(self.shape, self._weights[0])
+    def _best(self) -> Layers:
+        return split_layers(self.shape.sizes, self._weights[0])
 
     def _seed(self, networks: Sequence[Network]) -> None:
         genomes = np.repeat(self._weights, len(networks), axis=0)

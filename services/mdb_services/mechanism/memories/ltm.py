@@ -107,9 +107,10 @@ def sample_of(inputs: Floats, count: int) -> NDArray[np.intp]:
     gaps = np.full(len(inputs), np.inf)
     chosen = [0]
     while len(chosen) < count:
-        gaps = np.minimum(gaps, np.square(inputs - inputs[chosen[-1]]).sum(axis=1))
-        gaps[chosen] = -1.0
-        chosen.append(int(np.argmax(gaps)))
+        apart = np.add.reduce(np.square(inputs - inputs[chosen[-1]]), axis=1)
+        np.minimum(gaps, apart, out=gaps)
+        gaps[chosen[-1]] = -1.0
+        chosen.append(int(gaps.argmax()))
     return np.sort(np.array(chosen, dtype=np.intp))
 
 

@@ -16,6 +16,7 @@ When the context has changed (`context.py`), the weights are those of the tempor
 is known, and what is older than the change can be dropped at once.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +27,10 @@ from numpy.typing import NDArray
 from mdb_services.mechanism.networks.network import Floats
 
 Ids = NDArray[np.int64]
+NOBODY = -1
+"""In the place of the nearest other pair's slot, where there is none."""
+TOGETHER = 2**16
+"""Numbers of the differences between pairs that are taken at once: as many as stay in the processor's cache."""
 
 
 class VersionGapError(ValueError):
@@ -85,7 +90,7 @@ class MemoryMirror:
         self._ids = np.zeros(capacity, dtype=np.int64)
 
     def __len__(self) -> int:
-        return int(self._used.sum())
+        return int(np.count_nonzero(self._used))
 
     @property
     def slots(self) -> Ids:
@@ -117,11 +122,11 @@ class MemoryMirror:
             raise ValueError(f"change has ids {change.ids} for slots {change.slots}; expected as many of each")
         input_rows = _rows(inputs, (count, self._inputs.shape[1]), "input rows")
         target_rows = _rows(targets, (count, self._targets.shape[1]), "target rows")
-        written = np.array(change.slots, dtype=np.intp)
+        written = list(change.slots)
         self._inputs[written], self._targets[written] = input_rows, target_rows
         self._ids[written] = change.ids
         self._used[written] = True
-        self._used[np.array(change.freed, dtype=np.intp)] = False
+        self._used[list(change.freed)] = False
         self.version = change.version
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -162,17 +167,17 @@ class ShortTermMemory(MemoryMirror):
         self.config = config
         self._orders = np.zeros(capacity, dtype=np.int64)
         self._entry_errors = np.zeros(capacity)
-        self._distances = np.full((capacity, capacity), np.inf, dtype=np.float32)
-        """Squared, over the inputs, of the pairs in all slots; infinite where there is no other pair."""
-        self._outcomes = np.zeros((capacity, capacity) if config.outcome else (0, 0), dtype=np.float32)
-        """The same over the targets, where they may count."""
+        self._gaps = np.full(capacity, np.inf, dtype=np.float32)
+        """Squared distance of each slot's pair to the nearest other; infinite where there is none."""
+        self._neighbours = np.full(capacity, NOBODY)
+        """The slot of that nearest other."""
 
     def configure(self, config: MemoryConfig) -> None:
-        """Change the label's weights, say to the temporal setting when the context has changed.
-
-        The outcome can count less from now on, or again; if it did not at the beginning, it never does.
-        """
+        """Change the label's weights, say to the temporal setting when the context has changed."""
+        measured_anew = config.outcome != self.config.outcome
         self.config = config
+        if measured_anew:
+            self._look_around_all()
 
     def insert(
         self,
@@ -187,17 +192,23 @@ class ShortTermMemory(MemoryMirror):
         errors_now (n,) are the current model's errors on the stored pairs in slot order; None counts as none.
         Raises ValueError when a row or an error is not finite or does not fit.
         """
-        if id in self._ids[self._used]:
+        if (self._used & (self._ids == id)).any():
             return None
         if not np.isfinite(error_at_entry):
             raise ValueError(f"error at entry is {error_at_entry}; expected a finite number: predict the pair first")
         row = _rows(np.asarray(input_row)[None], (1, self._inputs.shape[1]), "input row")
         targets = _rows(np.asarray(target_row)[None], (1, self._targets.shape[1]), "target row")
+        (apart,) = self._distances(row, targets)
         full = len(self) == self.capacity
-        slot = self._lowest(row[0], targets[0], errors_now) if full else int(np.argmin(self._used))
+        slot = self._lowest(apart, errors_now) if full else int(self._used.argmin())
         evicted = (int(self._ids[slot]),) if full else ()
         change = Change(self.version + 1, (slot,), (id,), evicted)
-        self._write(change, row, targets, error_at_entry)
+        self._inputs[slot], self._targets[slot], self._ids[slot], self._used[slot] = row[0], targets[0], id, True
+        self._orders[slot], self._entry_errors[slot] = change.version, error_at_entry
+        self.version = change.version
+        left = np.flatnonzero(self._neighbours == slot)
+        self._come_near(slot, apart)
+        self._look_around(left)
         return change
 
     def since(self, version: int) -> tuple[Floats, Floats, NDArray[np.float64]]:
@@ -228,28 +239,53 @@ class ShortTermMemory(MemoryMirror):
         rows = self._inputs[:0], self._targets[:0]
         if inputs is not None:
             rows = inputs[: len(ids)], targets[: len(ids)]
-        self._write(change, rows[0], rows[1], 0.0)
+        self.apply(change, *rows)
+        for slot in change.slots:
+            self._orders[slot], self._entry_errors[slot] = change.version, 0.0
+        self._look_around_all()
         return change
 
-    def _write(self, change: Change, inputs: NDArray[Any], targets: NDArray[Any], entry_error: float) -> None:
-        self.apply(change, inputs, targets)
-        self._distances[list(change.freed), :] = self._distances[:, list(change.freed)] = np.inf
-        for slot in change.slots:
-            self._orders[slot], self._entry_errors[slot] = change.version, entry_error
-            self._measure(slot)
+    def _come_near(self, slot: int, apart: Floats) -> None:
+        """Tell all pairs of a new one in a slot, and it of the nearest; it is `apart` (capacity,) from them."""
+        apart[~self._used] = apart[slot] = np.inf
+        nearer = apart < self._gaps
+        self._gaps[nearer], self._neighbours[nearer] = apart[nearer], slot
+        nearest = int(apart.argmin())
+        self._gaps[slot] = apart[nearest]
+        self._neighbours[slot] = nearest if math.isfinite(apart[nearest]) else NOBODY
 
-    def _measure(self, slot: int) -> None:
-        """Write the distances of a slot's pair to all others."""
-        gaps = np.where(self._used, _squared(self._inputs, self._inputs[slot]), np.float32(np.inf))
-        gaps[slot] = np.inf
-        self._distances[slot], self._distances[:, slot] = gaps, gaps
-        if self._outcomes.size:
-            apart = _squared(self._targets, self._targets[slot])
-            self._outcomes[slot], self._outcomes[:, slot] = apart, apart
+    def _look_around_all(self) -> None:
+        """Find the nearest other pair of each."""
+        self._gaps[:], self._neighbours[:] = np.inf, NOBODY
+        self._look_around(self.slots)
+
+    def _look_around(self, slots: Ids) -> None:
+        """Find the nearest other pair of each of these slots: of few after an insert, so that it takes O(n)."""
+        most = max(1, TOGETHER // self._inputs.size)
+        for first in range(0, len(slots), most):
+            some = slots[first : first + most]
+            gaps = self._apart(some)
+            nearest = gaps.argmin(axis=1)
+            self._gaps[some] = smallest = gaps[np.arange(len(some)), nearest]
+            self._neighbours[some] = np.where(np.isfinite(smallest), nearest, NOBODY)
+
+    def _apart(self, slots: NDArray[Any]) -> Floats:
+        """Return the squared distances (k, capacity) of the pairs in k slots to all others; infinite without one."""
+        apart = self._distances(self._inputs[slots], self._targets[slots])
+        apart[:, ~self._used] = np.inf
+        apart[np.arange(len(slots)), slots] = np.inf
+        return apart
+
+    def _distances(self, rows: Floats, targets: Floats) -> Floats:
+        """Return the squared distances (k, capacity) of k rows and targets to what all slots hold."""
+        apart = _squared(rows, self._inputs)
+        if self.config.outcome:
+            apart += np.float32(self.config.outcome) * _squared(targets, self._targets)
+        return apart
 
     def labels(self, errors_now: NDArray[Any] | None = None) -> NDArray[np.float64]:
         """Return the label of each stored pair, in slot order."""
-        return self._labels(None, errors_now)
+        return self._labels(self._gaps, errors_now)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all arrays from which `restore` continues identically."""
@@ -261,44 +297,24 @@ class ShortTermMemory(MemoryMirror):
         super().restore(state)
         slots = state["slots"]
         self._orders[slots], self._entry_errors[slots] = state["orders"], state["entry_errors"]
-        self._distances[:] = np.inf
-        for slot in slots:
-            self._measure(int(slot))
+        self._look_around_all()
 
-    def _nearest(self, newcomer: tuple[Floats, Floats] | None) -> Floats:
-        """Return the squared distance (n,) of each pair to the nearest other, the newcomer among them."""
-        gaps = self._distances
-        if self._outcome:
-            gaps = gaps + self._outcome * self._outcomes
-        nearest: Floats = gaps.min(axis=1)[self._used]
-        if newcomer is not None:
-            apart = _squared(self._inputs, newcomer[0])[self._used]
-            if self._outcome:
-                apart += self._outcome * _squared(self._targets, newcomer[1])[self._used]
-            nearest = np.minimum(nearest, apart)
-        return nearest
-
-    @property
-    def _outcome(self) -> np.float32:
-        return np.float32(self.config.outcome if self._outcomes.size else 0)
-
-    def _lowest(self, row: Floats, target: Floats, errors_now: NDArray[Any] | None) -> int:
-        """Return the slot of the pair that leaves when one with this row and target comes; of equals the oldest."""
-        labels = self._labels((row, target), errors_now)
+    def _lowest(self, apart: Floats, errors_now: NDArray[Any] | None) -> int:
+        """Return the slot of the pair that leaves for one `apart` (capacity,) from all; of equals the oldest."""
+        labels = self._labels(np.minimum(self._gaps, apart), errors_now)
         lowest = np.flatnonzero(labels == labels.min())
         slots = self.slots[lowest]
-        return int(slots[np.argmin(self._orders[slots])])
+        return int(slots[self._orders[slots].argmin()])
 
-    def _labels(self, newcomer: tuple[Floats, Floats] | None, errors_now: NDArray[Any] | None) -> NDArray[np.float64]:
-        """Return the labels when a pair of this row and target comes, or as they are."""
+    def _labels(self, gaps: Floats, errors_now: NDArray[Any] | None) -> NDArray[np.float64]:
+        """Return the labels of pairs with these squared distances (capacity,) to their nearest others."""
         config = self.config
         labels = np.zeros(len(self))
         if config.recency:
             orders = self._orders[self._used]
             labels += config.recency * _scaled((orders - orders.min(initial=self.version)).astype(np.float64))
         if config.distance:
-            nearest = self._nearest(newcomer).astype(np.float64)
-            labels += config.distance * _scaled(np.sqrt(nearest))
+            labels += config.distance * _scaled(np.sqrt(gaps[self._used].astype(np.float64)))
         if config.current_error and errors_now is not None:
             errors = _rows(errors_now, (len(self),), "errors now")
             labels += config.current_error * _scaled(errors.astype(np.float64))
@@ -307,15 +323,19 @@ class ShortTermMemory(MemoryMirror):
         return labels
 
 
-def _squared(rows: Floats, row: Floats) -> Floats:
-    """Return the squared distance (n,) of each row (n, columns) to one (columns,)."""
-    difference = rows - row
-    squared: Floats = np.einsum("ij,ij->i", difference, difference)
+def _squared(ones: Floats, others: Floats) -> Floats:
+    """Return the squared distances (k, n) of k rows to n others."""
+    difference = others - ones[:, None]
+    squared: Floats = np.einsum("kij,kij->ki", difference, difference)
     return squared
 
 
 def _scaled(term: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a term that is nowhere negative over its largest finite value; infinite counts as one."""
+    largest = term.max(initial=0.0)
+    if 0 < largest < np.inf:
+        shares: NDArray[np.float64] = term / largest
+        return shares
     largest = term[np.isfinite(term)].max(initial=0.0)
     return np.minimum(term / largest, 1.0) if largest > 0 else np.where(term > 0, 1.0, 0.0)
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 from typing import Literal
 
 import numpy as np
@@ -19,6 +21,8 @@ from mdb_services.mechanism.networks.network import Floats
 
 Facts = dict[str, NDArray[np.float64]]
 """Variable name to its values, one a case: (n,), or (n, numbers) of a sensor that gives a vector."""
+
+Scale = float | NDArray[np.float64]
 
 Encoding = Literal["scalar", "one_hot", "rank"]
 
@@ -75,24 +79,38 @@ class Channel:
 
     def has(self, values: NDArray[np.float64]) -> bool:
         """Whether all values can be encoded: an index that the channel lacks cannot, nor a vector of other length."""
-        if values.shape[1:] != (() if self.numbers == 1 else (self.numbers,)):
+        if self.encoding == "scalar":
+            return values.ndim == 1 if self.numbers == 1 else values.shape[1:] == (self.numbers,)
+        if values.ndim != 1:
             return False
-        if self.indices is None:
-            return True
-        return bool(((values >= 0) & (values < self.indices) & (values == np.floor(values))).all())
+        count = self.size if self.encoding == "one_hot" else len(self.values)
+        return bool(((values >= 0) & (values < count) & (values == np.floor(values))).all())
 
     def encode(self, values: NDArray[np.float64]) -> Floats:
         """Return (n, width) float32 of values (n,) or (n, numbers)."""
+        return _scaled(self.columns(values), *self.scale)
+
+    def columns(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the columns (n, width) of values, before they are scaled."""
         if self.encoding == "one_hot":
-            hot: Floats = (values[:, None] == np.arange(self.size)).astype(np.float32)
-            return hot
+            return np.equal(values[:, None], np.arange(self.size)).astype(np.float64)
         if self.encoding == "rank":
-            places = np.argsort(np.argsort(np.asarray(self.values), kind="stable"), kind="stable")
-            scaled = places[values.astype(np.intp)] * (2.0 / (len(self.values) - 1)) - 1.0
-        else:
-            scaled = (values - self.low) * (2.0 / (self.high - self.low)) - 1.0
-        columns: Floats = np.clip(scaled, -1.5, 1.5).astype(np.float32).reshape(len(values), -1)
-        return columns
+            values = self._places[values.astype(np.intp)]
+        return values[:, None] if values.ndim == 1 else values
+
+    @cached_property
+    def _places(self) -> NDArray[np.float64]:
+        """The place of each of the `values` among them all."""
+        return np.argsort(np.argsort(np.asarray(self.values), kind="stable"), kind="stable").astype(np.float64)
+
+    @property
+    def scale(self) -> tuple[float, float, float]:
+        """What is taken from a column, by what it is multiplied, and what is taken from that."""
+        if self.encoding == "one_hot":
+            return 0.0, 1.0, 0.0
+        if self.encoding == "rank":
+            return 0.0, 2.0 / (len(self.values) - 1), 1.0
+        return self.low, 2.0 / (self.high - self.low), 1.0
 
     def decode(self, columns: Floats) -> NDArray[np.float64]:
         """Return the values (n,) or (n, numbers) of scalar columns (n, numbers)."""
@@ -134,6 +152,40 @@ def with_changes(facts: Facts) -> Facts:
     return facts
 
 
+def _scaled(columns: NDArray[np.float64], low: Scale, factor: Scale, middle: Scale) -> Floats:
+    """Return columns (n, width) as models read them; low, factor and middle: `Channel.scale`, one or (width,)."""
+    scaled = columns - low
+    scaled *= factor
+    scaled -= middle
+    np.maximum(scaled, -1.5, out=scaled)
+    np.minimum(scaled, 1.5, out=scaled)
+    return scaled.astype(np.float32)
+
+
+class _Variables:
+    """Some variables, and the rows of their columns side by side."""
+
+    def __init__(self, channels: Mapping[str, Channel], names: Sequence[str]) -> None:
+        self._channels = [(name, channels[name]) for name in names]
+        widths = [channel.width for _, channel in self._channels]
+        ends = list(accumulate(widths))
+        self.width = sum(widths)
+        self.places = {name: slice(end - width, end) for name, end, width in zip(names, ends, widths, strict=True)}
+        """The columns of each."""
+        scales = np.array([channel.scale for _, channel in self._channels])
+        self._scale = np.repeat(scales, widths, axis=0).T
+
+    def rows(self, facts: Facts) -> Floats | None:
+        """Return (n, width), or None when a variable is not among the facts or is no value of its channel."""
+        columns = []
+        for name, channel in self._channels:
+            values = facts.get(name)
+            if values is None or not channel.has(values):
+                return None
+            columns.append(channel.columns(values))
+        return _scaled(np.concatenate(columns, axis=1), *self._scale)
+
+
 class Codebook:
     """Inputs and outputs of one model: which variables, how encoded, in which columns."""
 
@@ -143,24 +195,24 @@ class Codebook:
             if name not in channels:
                 raise KeyError(f"variable {name!r} has no channel; channels are {', '.join(sorted(channels))}")
         self.inputs, self.outputs = tuple(inputs), tuple(outputs)
-        self._channels = {name: channels[name] for name in (*inputs, *outputs)}
+        self._channels = {name: channels[name] for name in outputs}
+        self._ins, self._outs = _Variables(channels, inputs), _Variables(channels, outputs)
         if any(channels[name].encoding != "scalar" for name in outputs):
             raise ValueError(f"outputs {list(outputs)}: a model's outputs must be scalar channels")
 
     @property
     def width(self) -> int:
         """Columns of an input row."""
-        return sum(self._channels[name].width for name in self.inputs)
+        return self._ins.width
 
     @property
     def output_width(self) -> int:
         """Columns of a target row."""
-        return sum(self._channels[name].width for name in self.outputs)
+        return self._outs.width
 
     def column(self, output: str) -> int:
         """Return the first column of an output in a target row."""
-        before = self.outputs[: self.outputs.index(output)]
-        return sum(self._channels[name].width for name in before)
+        return self._outs.places[output].start
 
     def misfit(self, sizes: Sequence[int]) -> str | None:
         """Return why a network of these layers does not fit these rows; None when it does."""
@@ -170,21 +222,13 @@ class Codebook:
 
     def input_rows(self, facts: Facts) -> Floats | None:
         """Return (n, width), or None when a variable is not among the facts or is no value of its channel."""
-        return self._rows(self.inputs, facts)
+        return self._ins.rows(facts)
 
     def target_rows(self, facts: Facts) -> Floats | None:
         """Return (n, outputs) cut off at ±1, where models end, or None when a variable is not there."""
-        rows = self._rows(self.outputs, facts)
-        return None if rows is None else np.clip(rows, -1.0, 1.0)
-
-    def _rows(self, names: tuple[str, ...], facts: Facts) -> Floats | None:
-        read = [(self._channels[name], facts.get(name)) for name in names]
-        if any(values is None or not channel.has(values) for channel, values in read):
-            return None
-        return np.concatenate([channel.encode(values) for channel, values in read if values is not None], axis=1)
+        rows = self._outs.rows(facts)
+        return None if rows is None else np.minimum(np.maximum(rows, -1.0), 1.0)
 
     def predicted(self, outputs: Floats) -> Facts:
         """Return predicted outputs (n, output_width) as facts, in the variables' own units."""
-        ends = np.cumsum([self._channels[name].width for name in self.outputs])
-        columns = np.split(outputs, ends[:-1], axis=1)
-        return {name: self._channels[name].decode(part) for name, part in zip(self.outputs, columns, strict=True)}
+        return {name: self._channels[name].decode(outputs[:, place]) for name, place in self._outs.places.items()}

@@ -85,8 +85,9 @@ class Network:
 
     def predict(self, inputs: NDArray[Any]) -> Floats:
         """Return the outputs, float32 (n, outputs) in [-1, 1], for inputs (n, inputs)."""
-        bounded: Floats = np.clip(self.sums(inputs), -1, 1)
-        return bounded
+        sums = self.sums(inputs)
+        np.maximum(sums, -1, out=sums)
+        return np.minimum(sums, 1, out=sums)
 
     def sums(self, inputs: NDArray[Any]) -> Floats:
         """Return the outputs before they are cut off: for comparing cases that all come out at the bound."""
@@ -94,9 +95,12 @@ class Network:
         if rows.ndim != 2 or rows.shape[1] != self.sizes[0]:
             raise ValueError(f"inputs have shape {rows.shape}; expected (n, {self.sizes[0]}): one row a case")
         for layer in self.layers[:-1]:
-            rows = np.tanh(rows @ layer[:, :-1].T + layer[:, -1])
+            rows = rows @ layer[:, :-1].T  # an array of our own from here on
+            rows += layer[:, -1]
+            np.tanh(rows, out=rows)
         last = self.layers[-1]
-        sums: Floats = rows @ last[:, :-1].T + last[:, -1]
+        sums: Floats = rows @ last[:, :-1].T
+        sums += last[:, -1]
         return sums
 
     def to_arrays(self) -> tuple[list[int], Floats]:
@@ -109,10 +113,14 @@ class Network:
         if len(sizes) < 3 or min(sizes) < 0 or sizes[0] < 1 or sizes[-1] < 1:
             raise ValueError(f"layer sizes {list(sizes)}: expected inputs, hidden units, outputs, none negative")
         needed = sum(after * (before + 1) for before, after in pairwise(sizes))
-        flat = np.asarray(weights)
+        flat = np.array(weights, dtype=np.float32)
         if flat.shape != (needed,):
             raise ValueError(f"weights have shape {flat.shape}; layer sizes {list(sizes)} need ({needed},)")
-        return cls(split_layers(sizes, flat))
+        _check_finite("weights", flat)
+        flat.setflags(write=False)
+        network = cls.__new__(cls)  # what was split of one array fits together
+        network.layers = tuple(split_layers(sizes, flat))
+        return network
 
 
 def _check_layers(layers: tuple[Floats, ...]) -> None:
@@ -124,5 +132,9 @@ def _check_layers(layers: tuple[Floats, ...]) -> None:
         if index and layer.shape[1] != layers[index - 1].shape[0] + 1:
             before = layers[index - 1].shape[0]
             raise ValueError(f"layer {index} has {layer.shape[1]} columns; {before} units before need {before + 1}")
-        if not np.isfinite(layer).all():
-            raise ValueError(f"layer {index} holds weights that are not finite: the sender's evolution diverged")
+        _check_finite(f"weights of layer {index}", layer)
+
+
+def _check_finite(what: str, weights: Floats) -> None:
+    if not np.isfinite(weights).all():
+        raise ValueError(f"{what} are not finite: the sender's evolution diverged")

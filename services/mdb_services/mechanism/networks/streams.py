@@ -6,8 +6,12 @@ generator has a state that could be lost. Compiled code draws its own numbers in
 """
 
 import hashlib
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
+from numpy.typing import NDArray
 
 _KEY_BYTES = 8
 _PHILOX_KEY_BYTES = 16
@@ -32,5 +36,22 @@ def generator(seed: int, name: str, counter: int) -> np.random.Generator:
     """
     if not 0 <= counter < _COUNTER_LIMIT:
         raise ValueError(f"counter is {counter}; expected 0 <= counter < 2**64: count steps from zero")
-    words = np.array([0, 0, 0, counter], dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(key=_digest(seed, name, _PHILOX_KEY_BYTES), counter=words))
+    high, low = divmod(_digest(seed, name, _PHILOX_KEY_BYTES), 2**64)
+    return philox((low, high), (0, 0, 0, counter))
+
+
+def philox(key: Sequence[int], counter: Sequence[int]) -> np.random.Generator:
+    """Return the generator of a key of two 64-bit words and a counter of four, the lowest word first."""
+    words, seed = np.array(counter, dtype=np.uint64), _Key(np.array(key, dtype=np.uint64))
+    return np.random.Generator(np.random.Philox(seed, counter=words))  # type: ignore[arg-type] # numpy takes any such
+
+
+class _Key(ISeedSequence):
+    """A key as it is. With `Philox(key=...)` numpy asks the system each time for entropy, which it does not use."""
+
+    def __init__(self, words: NDArray[np.uint64]) -> None:
+        self._words = words
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint64) -> NDArray[Any]:
+        """Return the key; Philox asks for two words of 64 bits."""
+        return self._words[:n_words].astype(dtype, copy=False)

@@ -22,6 +22,7 @@ import numpy as np
 from msgspec import Meta
 
 from mdb_protocol.messages import Drawing
+from mdb_services.mechanism.networks.streams import philox
 from mdb_sim.bodies.pioneer.drawing import draw
 from mdb_sim.bodies.pioneer.perceive import perceive
 from mdb_sim.bodies.pioneer.sonar import BODY_CENTRE_X_M, Array, SonarRing
@@ -54,10 +55,7 @@ _PURPOSES: tuple[Purpose, ...] = ("placement", "reached", "placed", "sense")
 
 def stream(seed: int, purpose: Purpose, index: int, repeat: int = 0) -> np.random.Generator:
     """The random stream of one purpose at one index (an iteration or an episode)."""
-    # Key and counter are 64-bit words; the counter's lowest word is the stream's own position.
-    key = np.array([seed, _PURPOSES.index(purpose)], dtype=np.uint64)
-    counter = np.array([0, repeat, index, 0], dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(key=key, counter=counter))
+    return philox((seed, _PURPOSES.index(purpose)), (0, repeat, index, 0))
 
 
 def wrap_rad(angle_rad: float) -> float:

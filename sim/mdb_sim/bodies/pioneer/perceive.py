@@ -144,12 +144,13 @@ def _expected_ranges_m(
 
     The ray that hears is the one of the cone that points nearest to the object's centre.
     """
-    centre_m = (distance_m + NOMINAL_RADIUS_M) * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
-    towards_m = centre_m[:, None, :] - TRANSDUCERS[:, :2]
-    away_m = np.hypot(towards_m[..., 0], towards_m[..., 1])
-    off_axis = np.arctan2(towards_m[..., 1], towards_m[..., 0]) - TRANSDUCERS[:, 2]
+    centre_m, (x_m, y_m, heading_rad) = distance_m + NOMINAL_RADIUS_M, TRANSDUCERS.T
+    ahead_m = (centre_m * np.cos(bearings))[:, None] - x_m
+    aside_m = (centre_m * np.sin(bearings))[:, None] - y_m
+    away_m = np.hypot(ahead_m, aside_m)
+    off_axis = np.arctan2(aside_m, ahead_m) - heading_rad
     off_axis = np.abs((off_axis + math.pi) % (2.0 * math.pi) - math.pi)
-    past_cone = np.clip(off_axis - math.radians(config.sonar_half_cone_deg), 0.0, math.pi / 2.0)
+    past_cone = np.minimum(np.maximum(off_axis - math.radians(config.sonar_half_cone_deg), 0.0), math.pi / 2.0)
     beside_m = away_m * np.sin(past_cone)
     heard = beside_m <= NOMINAL_RADIUS_M * math.sin(math.radians(config.sonar_specular_deg))
     depth_m = np.sqrt(np.maximum(NOMINAL_RADIUS_M**2 - beside_m**2, 0.0))

@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 from mdb_protocol import keys, messages
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.mechanism.networks import streams
 from mdb_services.recorder import Recorded
 from mdb_sim.body import Body, Numbers, Reading
