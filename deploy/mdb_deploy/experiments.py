@@ -7,8 +7,7 @@ from pathlib import Path
 
 from mdb_deploy.shipped import shipped
 from mdb_protocol.errors import ConfigError
-from mdb_services.experiment.brain import EXPERIMENT_FILE
-from mdb_services.experiment.reading import nearest
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 
 EXPERIMENTS = shipped("experiments")
 SUFFIX = ".toml"
@@ -38,6 +37,8 @@ def experiment_path(name: str) -> Path:
         return known[wanted]
     if path.name != name:  # a path: of a file, not of a shipped one
         raise ConfigError(f"cannot read the experiment file {name}: there is no such file")
+    from mdb_services.experiment.reading import nearest
+
     raise ConfigError(
         f"cannot read the experiment file {name}: there is none here, nor a shipped one{nearest(wanted, known)}"
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from mdb_deploy.trials.under_test import words_of
 from tests.browser.conftest import Open, console
 from tests.integration.brain import Brain, until
 
@@ -24,7 +25,7 @@ QUICK = (
 
 def process_of(brain: Brain, role: str) -> psutil.Process:
     """The process of a role."""
-    found = until(lambda: [p for p in brain.children() if role in p.cmdline() and "run" in p.cmdline()])
+    found = until(lambda: [p for p in brain.children() if {"run", role} <= set(words_of(p))])
     assert isinstance(found, list)
     return psutil.Process(found[0].pid)
 
@@ -89,7 +90,7 @@ def test_a_moment_of_a_past_run_has_a_link(tmp_path: Path, visit: Open) -> None:
         visitor = visit(f"{address}#run={name}&at=25")
         visitor.sees("s.mode === 'past' && s.moment === 25 && s.thought !== undefined")
         assert visitor.value("s.thought.iteration") == 25
-        visitor.sees("s.picture?.iteration === 25 && s.picture.drawing.shapes.length > 2")
+        visitor.sees("s.picture?.iteration === 25 && s.picture.drawing?.shapes.length > 2")
         assert visitor.value("s.rows.iteration.length") == 60
         visitor.page.click("[aria-label='One iteration on']")
         visitor.sees("s.moment === 26")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mdb_deploy.experiments import experiment_path
-from mdb_deploy.running.compose import read
+from mdb_deploy.supervision.compose import read
 from mdb_deploy.trials.chaos import Commander, Pending
 from mdb_deploy.trials.chaos_report import BY_A_LOT, HANG_MEDIAN_S, P99_S, Kill, Report, Row
 from mdb_deploy.trials.evidence import Findings

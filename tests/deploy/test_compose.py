@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from mdb_deploy.experiments import experiment_path
-from mdb_deploy.running.compose import COMPOSE_FILE, fill, for_experiment, in_order, read
+from mdb_deploy.supervision.compose import COMPOSE_FILE, fill, for_experiment, in_order, read
 from mdb_protocol.errors import ConfigError
 from mdb_sim.runs.experiment import Experiment
 

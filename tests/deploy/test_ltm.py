@@ -10,7 +10,7 @@ from mdb_deploy.cli.main import main
 from mdb_deploy.experiments import EXPERIMENTS
 from mdb_deploy.runs import ltm
 from mdb_protocol import messages
-from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.mechanism.learners import make_learner
 from mdb_services.mechanism.networks.network import Shape
 from mdb_services.mechanism.settings import LEARNER_CONFIGS

@@ -17,7 +17,7 @@ from mdb_deploy.runs import ltm
 from mdb_deploy.trials.evidence import Findings
 from mdb_protocol import codec, messages
 from mdb_protocol.errors import TakenError
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from mdb_services.memory.file import MemoryFile
 from mdb_services.memory.reading import opened
 from tests.edges.trial import GOLDEN

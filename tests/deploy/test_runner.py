@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from mdb_deploy.running import runner as module
-from mdb_deploy.running.compose import ROUTER, ProcessSpec
-from mdb_deploy.running.runner import BACKOFF_S, QUICK_DEATHS, Child, Runner, StartError
+from mdb_deploy.supervision import runner as module
+from mdb_deploy.supervision.compose import ROUTER, ProcessSpec
+from mdb_deploy.supervision.runner import BACKOFF_S, QUICK_DEATHS, Child, Runner, StartError
 from mdb_protocol.errors import UNHEARD
 
 BOUND_S = 20.0

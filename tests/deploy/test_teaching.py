@@ -17,7 +17,7 @@ import pytest
 
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from mdb_services.recorder import read_log
 from tests.integration.brain import until
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from mdb_deploy.running.unattended import HUNG, or_finished
+from mdb_deploy.supervision.unattended import HUNG, or_finished
 from mdb_protocol import keys
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import Finished

@@ -10,7 +10,7 @@ import pytest
 
 from mdb_deploy.keys import credentials
 from mdb_deploy.keys.credentials import KeyFolder
-from mdb_deploy.running.processes import ROUTER_CONFIG
+from mdb_deploy.supervision.processes import ROUTER_CONFIG
 from mdb_protocol.errors import BusError
 from mdb_protocol.roles import Role
 from mdb_protocol.zenoh_bus import ZenohBus

@@ -14,6 +14,7 @@ from typing import Self
 
 import psutil
 
+from mdb_deploy.trials.under_test import words_of
 from mdb_protocol.messages import Status
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_services.shell.heartbeat import CLOSE_S
@@ -119,14 +120,14 @@ class Brain:
         return answers[0] if answers else None
 
     def children(self) -> list[psutil.Process]:
-        """All processes of the brain."""
-        return psutil.Process(self.process.pid).children(recursive=True)
+        """All processes of the brain, and the template that they are forks of."""
+        return psutil.Process(self.process.pid).children()
 
     def child(self, word: str) -> psutil.Process | None:
         """The living process with this word in its command line; a dead one not buried yet does not count."""
         for process in self.children():
             try:
-                if word in process.cmdline():
+                if word in words_of(process):
                     return process
             except psutil.Error:
                 continue

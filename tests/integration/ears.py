@@ -16,7 +16,7 @@ from mdb_protocol import keys
 from mdb_protocol.bus import Bus, read
 from mdb_protocol.errors import DecodeError, UnheardError
 from mdb_protocol.messages import Message
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 
 M = TypeVar("M", bound=Message)
 

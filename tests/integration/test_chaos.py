@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 
 from mdb_deploy.experiments import experiment_path
-from mdb_deploy.running.compose import for_experiment, read
+from mdb_deploy.supervision.compose import for_experiment, read
 from mdb_deploy.trials.chaos import ChaosOptions, run
 from mdb_deploy.trials.chaos_report import Report
 from mdb_deploy.trials.soak import SoakOptions
 from mdb_deploy.trials.soak import run as soak_run
 from mdb_deploy.trials.under_test import long_experiment
 from mdb_protocol import codec, messages
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from mdb_sim.robot.state_file import StateFile
 from mdb_sim.runs.experiment import ROBOT_FILE, Experiment
 from mdb_sim.runs.inline import run_experiment

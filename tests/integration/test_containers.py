@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from mdb_deploy.running.compose import COMPOSE_FILE
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_deploy.supervision.compose import COMPOSE_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from tests.integration.brain import SHORT
 
 ROOT = COMPOSE_FILE.parents[1]

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from mdb_deploy.keys.credentials import KeyFolder
+from mdb_deploy.trials.under_test import words_of
 from mdb_protocol import keys
 from mdb_protocol.roles import Role, User
 from mdb_protocol.zenoh_bus import ZenohBus
@@ -88,7 +89,7 @@ class Flooded:
         children = {child.pid: child for child in self._brain.children()}
         assert set(children) == set(self._processes)
         grown = {
-            " ".join(c.cmdline()[4:8]): (c.memory_info().rss - self._processes[p]) / 1e6 for p, c in children.items()
+            " ".join(words_of(c)[:4]): (c.memory_info().rss - self._processes[p]) / 1e6 for p, c in children.items()
         }
         assert not {name: mb for name, mb in grown.items() if mb > GROWN_MB}
         most = max(grown, key=lambda name: grown[name])

@@ -15,11 +15,12 @@ import psutil
 import pytest
 import zenoh
 
+from mdb_deploy.trials.under_test import words_of
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.bus import TAPPED
 from mdb_protocol.waiting import Raw
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from tests.integration.brain import BRAIN, Brain, until
 from tests.integration.junk import LATEST_READERS, READERS, Maker, Reads
 from tests.integration.test_survival import LONG
@@ -88,7 +89,9 @@ class Watch:
         processes = {child.pid: child.memory_info().rss for child in self._brain.children()}
         assert processes.keys() == self._processes.keys(), "nobody died"
         grown = {pid: (rss - self._processes[pid]) / 2**20 for pid, rss in processes.items()}
-        assert max(grown.values()) < GROWN_MB, {psutil.Process(pid).cmdline()[3:6]: mb for pid, mb in grown.items()}
+        assert max(grown.values()) < GROWN_MB, {
+            " ".join(words_of(psutil.Process(pid))[:4]): mb for pid, mb in grown.items()
+        }
         pairs = self.pairs()
         assert self._pairs.items() <= pairs.items(), "what was stored is as it was"
         assert sorted(pairs) == list(range(len(pairs))), "and what came since is the brain's own"

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from mdb_deploy.experiments import experiment_path
-from mdb_deploy.running.runner import QUICK_S
+from mdb_deploy.supervision.runner import QUICK_S
 from mdb_protocol import messages
 from tests.integration.brain import Brain, until
 from tests.integration.ears import frozen

@@ -75,7 +75,7 @@ def test_a_machine_learns_to_obey(machine: str, least: float, tmp_path: Path) ->
     run_experiment(Experiment.read(experiment_path(machine), settings), tmp_path)
     record = read_record(tmp_path)
     chosen = ~record.explored & (np.arange(record.iterations) >= 240)
-    assert obeyed(record)[chosen].mean() >= least
+    assert np.nanmean(obeyed(record)[chosen]) >= least  # of some commands the policy cannot say
     assert {*record.event} <= {NOTHING, *record.experiment.robot.ends}
 
 

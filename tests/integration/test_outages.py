@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 import zenoh
 
-from mdb_deploy.running.processes import ROUTER_CONFIG
+from mdb_deploy.supervision.processes import ROUTER_CONFIG
 from mdb_protocol import codec, keys, messages
 from mdb_protocol.messages import Message
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_protocol.zenoh_sessions import Router
 from mdb_services.acting.outbox import UNSTORED
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from mdb_services.memory.file import PAGE
 from mdb_services.recorder import read_log
 from tests.integration.brain import BRAIN, SHORT, Brain, mdb, until

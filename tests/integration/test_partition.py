@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from mdb_protocol import codec, keys, messages
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from mdb_services.recorder import Recorded, read_log
 from mdb_sim.robot.state_file import StateFile
 from mdb_sim.runs.experiment import ROBOT_FILE

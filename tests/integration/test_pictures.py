@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mdb_deploy.running.processes import ROUTER_CONFIG
+from mdb_deploy.supervision.processes import ROUTER_CONFIG
 from mdb_protocol import keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.zenoh_bus import ZenohBus

@@ -14,7 +14,7 @@ from mdb_protocol import codec, keys, messages
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.acting.optimizer import Optimizer
 from mdb_services.evolver import Evolver
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from mdb_services.memory.file import MemoryFile
 from mdb_services.memory.store import MemoryStore
 from mdb_services.recorder import read_log

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from mdb_deploy.running.processes import ROUTER_CONFIG
+from mdb_deploy.supervision.processes import ROUTER_CONFIG
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_protocol.zenoh_sessions import Router

@@ -85,6 +85,23 @@ def test_killed_evolver_comes_back_and_goes_on(tmp_path: Path) -> None:
         iteration_after(bus, reports, 10)
 
 
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform != "linux", reason="a template needs Linux")
+def test_a_killed_evolver_comes_back_without_its_template_too(tmp_path: Path) -> None:
+    with Brain(tmp_path, *LONG) as brain, brain.bus() as bus:
+        reports, models = bus.subscriber(keys.ITERATION), bus.subscriber(keys.CURRENT_MODEL, model="communication")
+        iteration_after(bus, reports, 10)
+        template = brain.child("template")
+        assert template is not None
+        template.kill()
+        status = brain.status(bus, "evolver", "communication")
+        assert status is not None
+        os.kill(status.pid, signal.SIGKILL)
+        until(lambda: "the template is gone" in brain.output())
+        until(lambda: (now := brain.status(bus, "evolver", "communication")) and now.pid != status.pid)
+        assert isinstance(next_of(bus, models), messages.CurrentModel)
+
+
 @pytest.mark.slow
 def test_junk_on_every_key_is_counted_and_survived(tmp_path: Path) -> None:
     junk = [b"", b"\x00", b"\xff" * 100, b"not msgpack at all", b"\x81\xa9iteration\xff", os.urandom(4096)]

@@ -26,7 +26,7 @@ from mdb_deploy.web.serve import serve
 from mdb_protocol import keys, messages
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_protocol.zenoh_sessions import Router
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.shell.heartbeat import Heart
 from mdb_sim.runs.experiment import Experiment
 

@@ -16,7 +16,7 @@ from mdb_deploy.web.opening import Place, WebOptions
 from mdb_protocol import keys, messages
 from mdb_protocol.bus import Inbox
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.recorder import Recorder
 from mdb_services.shell.service import run
 from tests.web.rig import BRAIN, Console, Page, Played, options_of, router, run_folder

@@ -8,7 +8,7 @@ from pathlib import Path
 from mdb_deploy.experiments import EXPERIMENTS
 from mdb_protocol.errors import MdbError
 from mdb_protocol.words import close_to
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 
 TEMPLATES = Path(__file__).parent / "templates"
 GYMNASIUM = "gymnasium"

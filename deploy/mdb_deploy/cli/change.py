@@ -7,8 +7,8 @@ import sys
 import tomllib
 
 from mdb_deploy.cli.options import Commands, add_keys
+from mdb_protocol.endpoints import USUAL
 from mdb_protocol.errors import MdbError
-from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
 EPILOG = """\
 what can be changed is the body's own; of the Pioneer: swapped, turn_share, left_wheel, right_wheel, blind,
@@ -29,7 +29,7 @@ def add(commands: Commands) -> None:
         allow_abbrev=False,
     )
     change.add_argument("settings", nargs="+", metavar="NAME=VALUE", help="as in left_wheel=0.5")
-    change.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
+    change.add_argument("--connect", default=USUAL, help="the router's endpoint")
     change.add_argument("--brain", default="pioneer", help="the brain's name")
     add_keys(change)
     change.set_defaults(command=_change)

@@ -8,8 +8,8 @@ from contextlib import ExitStack
 
 from mdb_deploy.cli.options import Commands, add_experiment, add_keys, content_of
 from mdb_deploy.experiments import experiment_path
+from mdb_protocol.endpoints import USUAL
 from mdb_protocol.errors import MdbError
-from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
 DESCRIPTION = """\
 Takes the place of the brain for a robot that you start, and says of each duty whether it holds. The duties are in
@@ -27,7 +27,7 @@ def add(commands: Commands) -> None:
         allow_abbrev=False,
     )
     add_experiment(check)
-    check.add_argument("--listen", help=f"start a router here ({DEFAULT_ENDPOINT})")
+    check.add_argument("--listen", help=f"start a router here ({USUAL})")
     check.add_argument("--connect", metavar="ENDPOINT", help="start no router: join the one that runs there")
     add_keys(check)
     check.add_argument("--wait", type=float, default=30.0, metavar="SECONDS", help="for the robot to come (30)")
@@ -36,7 +36,7 @@ def add(commands: Commands) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.running.processes import RouterOptions, open_router
+    from mdb_deploy.supervision.processes import RouterOptions, open_router
     from mdb_deploy.trials.robot_check import RobotCheck
     from mdb_deploy.trials.robot_link import Link
     from mdb_protocol.holding import hold
@@ -52,7 +52,7 @@ def _check(arguments: argparse.Namespace) -> int:
     with ExitStack() as opened:
         connect = arguments.connect
         if connect is None:
-            router = open_router(RouterOptions(None, arguments.listen or DEFAULT_ENDPOINT, arguments.keys))
+            router = open_router(RouterOptions(None, arguments.listen or USUAL, arguments.keys))
             opened.callback(router.close)
             connect = router.endpoint()
         bus = ZenohBus(brain, connect, credentials=arguments.keys)

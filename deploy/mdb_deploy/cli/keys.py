@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 from mdb_deploy.cli.options import number
 from mdb_deploy.cli.parsing import nearest
 from mdb_protocol.errors import MdbError
-from mdb_protocol.roles import Role
 
 if TYPE_CHECKING:
     from mdb_deploy.keys.credentials import KeyFolder
 
+BRAIN = "brain"
+ROLES = (BRAIN, "teacher", "viewer", "operator")
+"""As `mdb_protocol.roles.Role`, which is not imported for a help text."""
 KEYS = Path("keys")
 DESCRIPTION = """\
 Without a verb: prints the key table; roles, schema and duties print who may do what, what the messages are, and what
@@ -55,7 +57,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     init.add_argument("--brain", default="pioneer", help="the brain's name (pioneer)")
     _add_hosts(init)
     init.set_defaults(command=_init)
-    for role in Role:
+    for role in ROLES:
         _add_user(verbs, role)
     remove = verbs.add_parser("remove", help="admit a teacher or viewer no longer")
     remove.add_argument("name", metavar="NAME")
@@ -83,11 +85,11 @@ def _add_hosts(verb: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_user(verbs: argparse._SubParsersAction[argparse.ArgumentParser], role: Role) -> None:
-    verb = verbs.add_parser(f"add-{role.value}", help=f"admit one more {role.value}: makes a bundle")
+def _add_user(verbs: argparse._SubParsersAction[argparse.ArgumentParser], role: str) -> None:
+    verb = verbs.add_parser(f"add-{role}", help=f"admit one more {role}: makes a bundle")
     verb.add_argument("name", metavar="NAME")
     _add_folder(verb)
-    if role is not Role.BRAIN:
+    if role != BRAIN:
         verb.add_argument("--brain", help="of which brain; not needed when there is one")
         verb.add_argument(
             "--days", type=number(1, 36500), default=365, help="how long the certificate is valid (365)"
@@ -149,7 +151,9 @@ def _init(arguments: argparse.Namespace) -> int:
 
 
 def _add(arguments: argparse.Namespace) -> int:
-    folder, role = _folder(arguments.keys), arguments.role
+    from mdb_protocol.roles import Role
+
+    folder, role = _folder(arguments.keys), Role(arguments.role)
     if role is Role.BRAIN:
         path = folder.add(role, arguments.name, arguments.name)
     else:

@@ -8,8 +8,6 @@ import sys
 from collections.abc import MutableMapping
 from typing import Any
 
-import structlog
-
 from mdb_deploy.cli import (
     change,
     chaos,
@@ -56,6 +54,25 @@ ORDER = (up, web, teach, init, plot, status, change, past, ltm, study, keys, che
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; return the exit status."""
+    arguments, stdout = argparse.Namespace(), sys.stdout
+    try:
+        arguments = _arguments(argv)
+        _begin_log()
+        if getattr(arguments, "goes_on", False):
+            sys.stdout = unbreakable(stdout)
+        status: int = arguments.command(arguments)
+        sys.stdout.flush()
+    except (Exception, KeyboardInterrupt) as error:
+        return told(error, getattr(arguments, "extra", "brain"))
+    finally:
+        sys.stdout = stdout
+        let_go(stdout)
+    return status
+
+
+def _begin_log() -> None:
+    import structlog
+
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger("info"),
         logger_factory=structlog.PrintLoggerFactory(unbreakable(sys.stderr)),
@@ -69,19 +86,6 @@ def main(argv: list[str] | None = None) -> int:
             ),
         ],
     )
-    arguments, stdout = argparse.Namespace(), sys.stdout
-    try:
-        arguments = _arguments(argv)
-        if getattr(arguments, "goes_on", False):
-            sys.stdout = unbreakable(stdout)
-        status: int = arguments.command(arguments)
-        sys.stdout.flush()
-    except (Exception, KeyboardInterrupt) as error:
-        return told(error, getattr(arguments, "extra", "brain"))
-    finally:
-        sys.stdout = stdout
-        let_go(stdout)
-    return status
 
 
 def _arguments(argv: list[str] | None) -> argparse.Namespace:

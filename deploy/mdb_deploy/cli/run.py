@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, add_keys, content_of
 from mdb_deploy.experiments import experiment_path
+from mdb_protocol.endpoints import USUAL
 from mdb_protocol.errors import MdbError
-from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
 if TYPE_CHECKING:
     from mdb_services.shell.heartbeat import Heart
@@ -23,7 +23,7 @@ def add(commands: Commands) -> None:
     run = commands.add_parser("run", help="run one process of a brain ('mdb up' does this)", allow_abbrev=False)
     run.add_argument("service", help="router, recorder, memory, evolver, optimizer, robot, teacher, ear or web")
     run.add_argument("--run", type=Path, help="run folder with experiment.toml")
-    run.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
+    run.add_argument("--connect", default=USUAL, help="the router's endpoint")
     run.add_argument("--listen", help="router: its endpoint; port 0: any free one. web: HOST:PORT of the page")
     add_keys(run)
     run.add_argument("--open-to-everyone", action="store_true", help=f"router and web: {OPEN_HELP}")
@@ -45,7 +45,7 @@ def add(commands: Commands) -> None:
     prepare.set_defaults(command=_prepare)
     follow = commands.add_parser("follow", help="show a run to its end, then draw its figures", allow_abbrev=False)
     follow.add_argument("--run", type=Path, required=True, help="run folder with experiment.toml")
-    follow.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
+    follow.add_argument("--connect", default=USUAL, help="the router's endpoint")
     follow.add_argument("--known-as", metavar="FOLDER", help="what the run folder is called outside of the container")
     add_keys(follow)
     follow.set_defaults(command=_follow)
@@ -54,7 +54,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.running.processes import (
+    from mdb_deploy.supervision.processes import (
         SERVICES,
         WEB,
         RouterOptions,
@@ -62,7 +62,7 @@ def _run(arguments: argparse.Namespace) -> int:
         run_router,
         run_service,
     )
-    from mdb_deploy.running.unattended import run_unattended
+    from mdb_deploy.supervision.unattended import run_unattended
     from mdb_services.experiment.reading import nearest
     from mdb_services.shell.heartbeat import CLOSE_S, START_S, Heart
     from mdb_services.shell.service import Stopper
@@ -110,8 +110,8 @@ def _run_web(arguments: argparse.Namespace, stop: Stopper, heart: Heart) -> int:
 
 
 def _prepare(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.running.unattended import FINISHED_FILE
-    from mdb_services.experiment.brain import EXPERIMENT_FILE
+    from mdb_deploy.supervision.unattended import FINISHED_FILE
+    from mdb_services.experiment.run_folder import EXPERIMENT_FILE
     from mdb_sim.runs.experiment import Experiment
 
     path = experiment_path(arguments.experiment)
@@ -132,7 +132,7 @@ def _follow(arguments: argparse.Namespace) -> int:
     from mdb_deploy.running.follow import follow
     from mdb_deploy.running.progress import Progress
     from mdb_deploy.running.watch import Watch
-    from mdb_services.experiment.brain import EXPERIMENT_FILE
+    from mdb_services.experiment.run_folder import EXPERIMENT_FILE
     from mdb_services.shell.service import Stopper
     from mdb_sim.runs.experiment import Experiment
 

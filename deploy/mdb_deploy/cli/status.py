@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from mdb_deploy.cli.options import Commands, add_keys, number
-from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
+from mdb_protocol.endpoints import USUAL
 
 
 def add(commands: Commands) -> None:
@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
     health = commands.add_parser("health", help="exit status 0 when ROLE/INSTANCE (or the router) is ready")
     health.add_argument("name", help="router, or ROLE/INSTANCE as in 'mdb status'")
     for parser in (status, health):
-        parser.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
+        parser.add_argument("--connect", default=USUAL, help="the router's endpoint")
         add_keys(parser)
     status.add_argument("--brain", help="the brain's name (all brains of the router)")
     health.add_argument("--brain", help="the brain's name (any brain of the router)")
@@ -66,8 +66,8 @@ def _brain_of(run: Path | None) -> str | None:
     """Return the name of the brain of a run; None without one."""
     if run is None:
         return None
-    from mdb_services.experiment.brain import EXPERIMENT_FILE
     from mdb_services.experiment.reading import read_file
+    from mdb_services.experiment.run_folder import EXPERIMENT_FILE
     from mdb_services.experiment.sections import DEFAULT_BRAIN
 
     return str(read_file(run / EXPERIMENT_FILE)["experiment"].get("brain", DEFAULT_BRAIN))

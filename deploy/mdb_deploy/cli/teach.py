@@ -6,7 +6,7 @@ import argparse
 
 from mdb_deploy.cli.options import Commands, add_keys
 from mdb_deploy.experiments import experiment_path
-from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
+from mdb_protocol.endpoints import USUAL
 
 TEACH_EPILOG = """\
 Play a note, see what the robot does, judge it; again and again, until it obeys. Then leave, and see it go on alone.
@@ -35,7 +35,7 @@ def add(commands: Commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    teach.add_argument("--connect", default=DEFAULT_ENDPOINT, help="the router's endpoint")
+    teach.add_argument("--connect", default=USUAL, help="the router's endpoint")
     add_keys(teach)
     teach.add_argument("--brain", help="the brain's name (as your keys say, or pioneer)")
     teach.add_argument("--name", help="your name among the teachers (as your keys say, or teacher)")

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING
 from mdb_deploy.cli.options import OPEN_HELP, Commands, add_experiment, content_of, keys_path, number
 from mdb_deploy.cli.plot import draw
 from mdb_deploy.experiments import experiment_path
+from mdb_protocol.endpoints import USUAL
 from mdb_protocol.errors import MdbError
-from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from mdb_deploy.running.up import Web
+    from mdb_deploy.supervision.template import Template
+    from mdb_sim.runs.experiment import Experiment
 
 NOTHING_DONE = 2
 """Exit status of a run that ended well and of which no iteration is in the log."""
@@ -28,7 +30,7 @@ def add(commands: Commands) -> None:
     add_experiment(up)
     up.add_argument("--inline", action="store_true", help="everything in this process, in lockstep")
     up.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder is made (runs)")
-    up.add_argument("--listen", help=f"the router's endpoint ({DEFAULT_ENDPOINT}); port 0: any free one")
+    up.add_argument("--listen", help=f"the router's endpoint ({USUAL}); port 0: any free one")
     up.add_argument("--connect", metavar="ENDPOINT", help="start no router: join the one that runs there")
     up.add_argument("--keys", type=keys_path, metavar="DIR", help="key folder, for a router at tls/ or quic/")
     up.add_argument("--open-to-everyone", action="store_true", help=OPEN_HELP)
@@ -68,33 +70,50 @@ def _check_words(arguments: argparse.Namespace) -> None:
 
 
 def _up(arguments: argparse.Namespace) -> int:
-    from mdb_deploy.running.console import console_of
-    from mdb_deploy.running.processes import ENDPOINT_FILE
-    from mdb_deploy.running.progress import Progress
-    from mdb_deploy.running.up import (
-        UpOptions,
-        check_connect,
-        check_listen,
-        new_run_folder,
-        up_inline,
-        up_processes,
-    )
-    from mdb_services.experiment.brain import EXPERIMENT_FILE
+    _check_words(arguments)
+    if arguments.inline:
+        return _run(arguments, _wanted(arguments), None)
+    from mdb_deploy.cli.main import main
+    from mdb_deploy.supervision.template import Template, one_thread
+
+    with one_thread():
+        experiment = _wanted(arguments)
+        template = Template.begin(main)
+    try:
+        return _run(arguments, experiment, template)
+    finally:
+        if template is not None:
+            template.close()
+
+
+def _wanted(arguments: argparse.Namespace) -> Experiment:
+    """Return the experiment, with all that is said beside it; MdbError when it cannot be begun."""
+    from mdb_deploy.running.up import check_connect, check_listen
+    from mdb_services.experiment.run_folder import EXPERIMENT_FILE
     from mdb_sim.runs.experiment import Experiment
 
-    _check_words(arguments)
     path = experiment_path(arguments.experiment) if arguments.resume is None else arguments.resume / EXPERIMENT_FILE
     content = content_of(path, arguments, *(("experiment.pace=lockstep",) if arguments.inline else ()))
     if arguments.no_teacher:
         content.get("teacher", {}).pop("phase", None)  # what can be wanted stays
     experiment = Experiment(content, path)
     experiment.check_machine(elsewhere=arguments.no_robot, gui=arguments.gui)
-    section = experiment.brain.experiment
-    listen = arguments.listen or DEFAULT_ENDPOINT
+    brain = experiment.brain.experiment.brain
     if arguments.connect:
-        check_connect(arguments.connect, arguments.keys, section.brain)
+        check_connect(arguments.connect, arguments.keys, brain)
     elif not arguments.inline:
-        check_listen(listen, arguments.keys, section.brain, open_to_everyone=arguments.open_to_everyone)
+        check_listen(arguments.listen or USUAL, arguments.keys, brain, open_to_everyone=arguments.open_to_everyone)
+    return experiment
+
+
+def _run(arguments: argparse.Namespace, experiment: Experiment, template: Template | None) -> int:
+    from mdb_deploy.running.console import console_of
+    from mdb_deploy.running.progress import Progress
+    from mdb_deploy.running.up import UpOptions, new_run_folder, up_inline, up_processes
+    from mdb_deploy.supervision.processes import ENDPOINT_FILE
+    from mdb_services.experiment.run_folder import EXPERIMENT_FILE
+
+    section, listen = experiment.brain.experiment, arguments.listen or USUAL
     run = arguments.resume or new_run_folder(arguments.runs.resolve(), section.name, section.seed)
     run = run.resolve()
     if arguments.long_term is not None:
@@ -114,6 +133,7 @@ def _up(arguments: argparse.Namespace) -> int:
         await_robot=arguments.no_robot,
         connect=arguments.connect,
         web=web,
+        template=template,
     )
     console.print(f"{section.name}: {section.iterations} iterations, {section.pace}, seed {section.seed}")
     where = arguments.connect or (f"$(cat {run / ENDPOINT_FILE})" if listen.endswith(":0") else listen)
@@ -142,7 +162,7 @@ class _Results:
 
     def draw(self) -> None:
         """Draw the figures, and say where the results are; MdbError when the run folder is gone."""
-        from mdb_services.experiment.brain import EXPERIMENT_FILE
+        from mdb_services.experiment.run_folder import EXPERIMENT_FILE
         from mdb_services.recorder import EmptyLogError
 
         run, console = self._run, self._console

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from mdb_deploy.cli.options import Commands, add_keys
 from mdb_deploy.experiments import experiment_path
+from mdb_protocol.endpoints import USUAL
 from mdb_protocol.errors import MdbError
-from mdb_protocol.zenoh_bus import DEFAULT_ENDPOINT
 
 if TYPE_CHECKING:
     from mdb_deploy.web.guard import Guard
@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    web.add_argument("--connect", metavar="ENDPOINT", help=f"the router ({DEFAULT_ENDPOINT}, with keys tls/)")
+    web.add_argument("--connect", metavar="ENDPOINT", help=f"the router ({USUAL}, with keys tls/)")
     web.add_argument("--brain", help="the brain's name (the one that is there)")
     web.add_argument("--run", type=Path, metavar="FOLDER", help="the brain's run folder (found, if it runs here)")
     web.add_argument("--experiment", type=experiment_path, metavar="FILE", help="what a brain elsewhere does")
@@ -51,7 +51,7 @@ def _web(arguments: argparse.Namespace) -> int:
     from mdb_services.shell.service import Stopper
 
     host, port = address_of(arguments.listen)
-    usual = DEFAULT_ENDPOINT if arguments.keys is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/")
+    usual = USUAL if arguments.keys is None else USUAL.replace("tcp/", "tls/")
     connect = arguments.connect or (None if arguments.run is not None else usual)
     run = arguments.run.resolve() if arguments.run is not None else None
     place = Place(connect, run, arguments.experiment, arguments.brain, arguments.keys)

@@ -1,1 +1,1 @@
-"""Processes of a run: started, watched, shown."""
+"""A run of processes: begun, watched, shown."""

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 
 from mdb_deploy.running.progress import Progress
-from mdb_deploy.running.unattended import FINISHED_FILE
 from mdb_deploy.running.watch import Watch
+from mdb_deploy.supervision.unattended import FINISHED_FILE
 
 POLL_S = 0.05
 WRITTEN_S = 10.0

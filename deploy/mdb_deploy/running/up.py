@@ -16,7 +16,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mdb_deploy.running.compose import (
+from mdb_deploy.running.progress import Progress
+from mdb_deploy.running.watch import JOIN_S, Watch
+from mdb_deploy.supervision.compose import (
     OPTIMIZER,
     ROBOT,
     ROUTER,
@@ -27,16 +29,15 @@ from mdb_deploy.running.compose import (
     for_experiment,
     read,
 )
-from mdb_deploy.running.processes import ENDPOINT_FILE
-from mdb_deploy.running.progress import Progress
-from mdb_deploy.running.runner import Runner, StartError
-from mdb_deploy.running.watch import JOIN_S, Watch
+from mdb_deploy.supervision.processes import ENDPOINT_FILE
+from mdb_deploy.supervision.runner import Runner, StartError
+from mdb_deploy.supervision.template import Template
 from mdb_protocol import endpoints, files
 from mdb_protocol.bundle import Bundle
 from mdb_protocol.errors import MdbError
 from mdb_protocol.holding import hold
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.shell.whole_file import write_whole
 from mdb_sim.runs.experiment import Experiment
 
@@ -95,6 +96,8 @@ class UpOptions:
     """Start no router: join this one."""
     web: Web | None = None
     """Serve the page, and go on with that when the run is over."""
+    template: Template | None = None
+    """Of what services are forks."""
 
 
 def check_connect(connect: str, keys: Path | None, brain: str) -> None:
@@ -212,7 +215,7 @@ async def _up(experiment: Experiment, options: UpOptions, progress: Progress, on
     (options.run / ENDPOINT_FILE).unlink(missing_ok=True)
     watch = Watch(experiment, options.run, options.keys, await_robot=options.await_robot)
     specs, variables = _processes(experiment, options)
-    runner = Runner(specs, variables, options.run / "logs", watch.alive)
+    runner = Runner(specs, variables, options.run / "logs", watch.alive, options.template)
     if options.connect is None:
         watch.on_endpoint = lambda found: runner.connect(found, endpoints.with_port_of(options.listen, found))
     watch.on_unheard = runner.replace_router

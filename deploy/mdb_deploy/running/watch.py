@@ -12,17 +12,17 @@ from pathlib import Path
 
 import structlog
 
-from mdb_deploy.running.compose import ROBOT, ROUTER
 from mdb_deploy.running.folder import RunFolder
-from mdb_deploy.running.processes import ENDPOINT_FILE, INSTANCES
 from mdb_deploy.running.progress import Progress
+from mdb_deploy.supervision.compose import ROBOT, ROUTER
+from mdb_deploy.supervision.processes import ENDPOINT_FILE, INSTANCES
 from mdb_protocol import keys
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, TakenError, UnheardError
 from mdb_protocol.holding import GONE_S, hold
 from mdb_protocol.messages import Control
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from mdb_services.shell.service import Meter, announce
 from mdb_sim.runs.experiment import Experiment
 

@@ -18,7 +18,7 @@ from mdb_protocol import codec, files
 from mdb_protocol.errors import ConfigError, DamageError, DecodeError, MdbError
 from mdb_protocol.messages import LongTermFile, LongTermModel
 from mdb_protocol.words import shown
-from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.experiment.run_folder import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.mechanism.networks.network import Network
 from mdb_services.memory.file import MemoryFile
 from mdb_services.memory.model_memory import ModelMemory

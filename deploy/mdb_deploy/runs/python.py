@@ -25,7 +25,7 @@ from mdb_deploy.experiments import experiment_path
 from mdb_deploy.running.up import new_run_folder, writable
 from mdb_protocol.errors import MdbError
 from mdb_protocol.messages import IterationReport
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.recorder import EmptyLogError, read_log
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.inline import run_experiment

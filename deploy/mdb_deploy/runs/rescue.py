@@ -13,7 +13,7 @@ import structlog
 
 from mdb_protocol import files
 from mdb_protocol.errors import ConfigError, DamageError, MdbError
-from mdb_services.experiment.brain import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.experiment.run_folder import BEGINNING_FILE, EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.memory import rescue as memory_rescue
 from mdb_services.memory.rescue import Salvage
 from mdb_services.recorder import LOG_PATTERN

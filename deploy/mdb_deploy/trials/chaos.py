@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 import structlog
 
-from mdb_deploy.running.compose import OPTIMIZER, ROUTER, for_experiment, read
-from mdb_deploy.running.runner import QUICK_DEATHS, QUICK_S
+from mdb_deploy.supervision.compose import OPTIMIZER, ROUTER, for_experiment, read
+from mdb_deploy.supervision.runner import QUICK_DEATHS, QUICK_S
 from mdb_deploy.trials.chaos_report import Kill, Report, write_report
 from mdb_deploy.trials.evidence import compare
 from mdb_deploy.trials.under_test import POLL_S, BrainError, BrainUnderTest, long_experiment, stop_on_sigterm
 from mdb_protocol.errors import ConfigError
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from mdb_sim.runs.experiment import Experiment
 
 ITERATIONS = 2

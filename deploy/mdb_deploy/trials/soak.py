@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from mdb_deploy.trials.chaos_report import yes
 from mdb_deploy.trials.evidence import Findings, compare
 from mdb_deploy.trials.under_test import BrainError, BrainUnderTest, long_experiment, stop_on_sigterm
-from mdb_services.experiment.brain import MEMORY_FILE
+from mdb_services.experiment.run_folder import MEMORY_FILE
 from mdb_sim.figures.four_to_six import need_matplotlib, save
 
 if TYPE_CHECKING:

@@ -18,13 +18,13 @@ from typing import Any, Self
 
 import psutil
 
-from mdb_deploy.running.compose import ROUTER, ProcessSpec, for_experiment, read
-from mdb_deploy.running.processes import ENDPOINT_FILE
+from mdb_deploy.supervision.compose import ROUTER, ProcessSpec, for_experiment, read
+from mdb_deploy.supervision.processes import ENDPOINT_FILE
 from mdb_protocol import keys
 from mdb_protocol.errors import MdbError
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.experiment.brain import EXPERIMENT_FILE
 from mdb_services.experiment.reading import read_file
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_sim.runs.experiment import Experiment, placed
 
 START_S = 100.0
@@ -74,8 +74,14 @@ class Member:
 
     def is_it(self, command: list[str]) -> bool:
         """Whether a process with this command line is it."""
-        first = next((i for i, word in enumerate(command) if word == "mdb_deploy.cli"), len(command)) + 1
+        first = next((i for i, word in enumerate(command) if word in ("mdb", "mdb_deploy.cli")), len(command)) + 1
         return tuple(command[first : first + len(self.words)]) == self.words
+
+
+def words_of(process: psutil.Process) -> list[str]:
+    """Return the command line of a process, word by word: a fork of the template has it in one piece."""
+    first, *more = process.cmdline()
+    return [first, *more] if any(more) else first.split()
 
 
 class BrainUnderTest:
@@ -168,7 +174,7 @@ class BrainUnderTest:
             return found
         for child in children:
             try:
-                command = child.cmdline()
+                command = words_of(child)
             except psutil.Error:
                 continue
             found |= {name: child for name, member in self.members.items() if member.is_it(command)}

@@ -136,8 +136,8 @@ class PastRuns:
 
     def _row(self, folder: Path, when_s: float) -> dict[str, Any]:
         """Return what is listed of a run; of an experiment file that cannot be read nothing is known."""
-        from mdb_services.experiment.brain import EXPERIMENT_FILE
         from mdb_services.experiment.reading import read_file
+        from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 
         said: dict[str, Any] = {}
         path = folder / EXPERIMENT_FILE

@@ -39,13 +39,6 @@ from mdb_services.mechanism.memories.stm import MemoryConfig
 from mdb_services.mechanism.networks.encoding import DERIVED, NOT_SENSED, Channel, Codebook
 from mdb_services.mechanism.settings import LEARNER_CONFIGS, EvolutionConfig, LearnerConfig, RidgeConfig
 
-EXPERIMENT_FILE = "experiment.toml"
-"""The resolved experiment in a run folder, its seed in it."""
-MEMORY_FILE = "memory.sqlite"
-"""The memory store's database in a run folder."""
-BEGINNING_FILE = "memory.beginning.sqlite"
-"""The same before the first pair, where a run begins with models of another one: what a replay begins with."""
-
 NUMBER_BYTES = 4
 """Of a weight in a message."""
 BESIDE = 1024

@@ -16,7 +16,7 @@ from mdb_deploy.web.telling.story import Story
 from mdb_protocol import codec
 from mdb_protocol import messages as m
 from mdb_protocol.errors import MdbError
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_sim.runs.films import films_of
 from mdb_sim.runs.record import read_record
 from tests.web.telling.conftest import Made

@@ -88,9 +88,9 @@ def test_other_machines_are_told_as_they_are(run_of: Made, name: str, needs: str
         values = [tuple(action["values"].values()) for action in told["actions"]]
         assert values == sorted(values)
         assert len(values) == len(set(values))
-        assert len(values) in ((2,) if choices else (MOST_SHOWN - 1, MOST_SHOWN))
+        assert len(values) in ((2,) if choices else range(MOST_SHOWN - 2, MOST_SHOWN + 1))  # two may be of the spread
         if told["badge"] == "obeys":
-            assert chosen(told)["promise"] >= best(told) - 0.05  # a few more points were looked at here
+            assert chosen(told)["promise"] >= best(told) - 0.1  # a few more points were looked at here
 
 
 def test_what_is_not_known_is_left_out(pioneer: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from mdb_deploy.web.telling.story import Story
 from mdb_protocol import messages as m
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.recorder import Recorded, read_log
 from mdb_sim.runs.experiment import Experiment
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mdb_deploy.running.processes import ENDPOINT_FILE
 from mdb_deploy.running.status import NOBODY
+from mdb_deploy.supervision.processes import ENDPOINT_FILE
 from mdb_deploy.web.opening import Place
 from mdb_protocol import files, keys
 from mdb_protocol.bundle import brains_of
@@ -18,7 +18,7 @@ from mdb_protocol.bus import Bus
 from mdb_protocol.errors import MdbError, QueryError
 from mdb_protocol.messages import Status
 from mdb_protocol.zenoh_bus import ZenohBus
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_sim.runs.experiment import Experiment
 
 JOIN_S, ANSWER_S = 1.0, 1.0

@@ -22,7 +22,7 @@ from mdb_deploy.web.telling.kept.speech import MOST_PHASES, Speech
 from mdb_deploy.web.telling.plan import Plan
 from mdb_deploy.web.telling.story import Story
 from mdb_protocol import messages as m
-from mdb_services.experiment.brain import EXPERIMENT_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 from mdb_services.mechanism.actions.foresight import Known
 from mdb_sim.body import Reading
 from mdb_sim.runs.experiment import Experiment

@@ -1,6 +1,7 @@
 """One process of a brain: builds the service that `mdb run SERVICE` names and runs it until told to stop.
 
-Imports what a service needs only when it is run: an optimizer has no compiler in memory, a teacher no physics.
+Imports what a service needs only when it is run: started as a program, an optimizer has no compiler in memory, a
+teacher no physics.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ from pathlib import Path
 import structlog
 
 from mdb_deploy.keys.access import ACCESS_FILE
-from mdb_deploy.running.unattended import FINISHED_FILE, or_finished
 from mdb_deploy.shipped import shipped
+from mdb_deploy.supervision.unattended import FINISHED_FILE, or_finished
 from mdb_protocol import endpoints
 from mdb_protocol.bus import Bus
 from mdb_protocol.errors import BusError, ConfigError, DamageError
 from mdb_protocol.holding import hold
 from mdb_protocol.zenoh_bus import ZenohBus
 from mdb_protocol.zenoh_sessions import Router, RouterKeys
-from mdb_services.experiment.brain import EXPERIMENT_FILE, MEMORY_FILE
+from mdb_services.experiment.run_folder import EXPERIMENT_FILE, MEMORY_FILE
 from mdb_services.shell.heartbeat import BEAT_S, CLOSE_S, COMPILE_S, START_S, Heart
 from mdb_services.shell.service import Service, Stopper, run
 from mdb_services.shell.whole_file import write_whole

@@ -17,15 +17,16 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 import structlog
 
-from mdb_deploy.running.compose import ROUTER, ProcessSpec, fill
+from mdb_deploy.supervision.compose import ROUTER, ProcessSpec, fill
+from mdb_deploy.supervision.template import Forked, Template, TemplateGoneError
 from mdb_protocol.errors import UNHEARD, MdbError
 from mdb_services.shell.heartbeat import BEAT_S, Pulse
 
 log = structlog.get_logger()
+Process = asyncio.subprocess.Process | Forked
 
 READY_S = 90.0
 """Bound on a process becoming ready; the first start on a machine compiles the evolvers' kernels."""
@@ -57,7 +58,7 @@ class Child:
 
     spec: ProcessSpec
     log_path: Path
-    process: asyncio.subprocess.Process | None = None
+    process: Process | None = None
     pulse: Pulse | None = None
     started_s: float = 0.0
     ready: bool = False
@@ -101,7 +102,9 @@ class Runner:
         variables: Mapping[str, str],
         logs: Path,
         alive: Callable[[], frozenset[str]],
+        template: Template | None = None,
     ) -> None:
+        self._template = template
         self._variables = dict(variables)
         self._logs, self._alive = logs, alive
         self._stopping = False
@@ -220,23 +223,27 @@ class Runner:
         roles = {name.partition("/")[0] for name in self._alive()} if spec.awaits else set()
         return roles.issuperset(spec.awaits)
 
-    async def _spawn(self, child: Child) -> asyncio.subprocess.Process:
+    async def _spawn(self, child: Child) -> Process:
         argv = child.spec.argv(self._variables)
-        if argv[0] == "mdb":
-            argv = [sys.executable, "-P", "-m", "mdb_deploy.cli", *argv[1:], f"--with-parent={os.getpid()}"]
-        environment = {name: fill(value, self._variables) for name, value in child.spec.environment.items()}
+        filled = {name: fill(value, self._variables) for name, value in child.spec.environment.items()}
         self._logs.mkdir(exist_ok=True)
-        output: IO[bytes]
         with child.log_path.open("ab") as output:
             child.pulse = pulse = Pulse()
+            environment = os.environ | filled | pulse.environment()
+            given = (pulse.child_pipe, *child.spec.given)
             try:
+                if argv[0] == "mdb":
+                    argv.append(f"--with-parent={os.getpid()}")
+                    if (forked := await self._fork(argv[1:], environment, (output.fileno(), *given))) is not None:
+                        return forked
+                    argv[:1] = [sys.executable, "-P", "-m", "mdb_deploy.cli"]
                 return await asyncio.create_subprocess_exec(
                     *argv,
                     stdin=asyncio.subprocess.DEVNULL,
                     stdout=output,
                     stderr=asyncio.subprocess.STDOUT,
-                    env=os.environ | environment | pulse.environment(),
-                    pass_fds=(pulse.child_pipe, *child.spec.given),
+                    env=environment,
+                    pass_fds=given,
                     start_new_session=True,
                 )
             except BaseException:
@@ -244,6 +251,18 @@ class Runner:
                 raise
             finally:
                 pulse.child_has_it()
+
+    async def _fork(self, words: list[str], environment: dict[str, str], given: tuple[int, ...]) -> Process | None:
+        """Start a process from the template; None when there is none any more."""
+        if self._template is None:
+            return None
+        try:
+            return await self._template.fork(words, environment, given)
+        except TemplateGoneError:
+            if self._template is not None:
+                log.warning("the template is gone; processes are started without it, which takes longer")
+            self._template = None
+            return None
 
     async def _listen(self) -> None:
         """Listen to the hearts, and end who hangs; nobody but the router while others may be waiting for it."""
@@ -303,7 +322,7 @@ def _routes(router: Child) -> bool:
     return router.ready and (router.pulse is None or router.pulse.silent_s <= 2 * BEAT_S)
 
 
-async def _wait_all(processes: list[asyncio.subprocess.Process], bound_s: float) -> None:
+async def _wait_all(processes: list[Process], bound_s: float) -> None:
     if processes:
         await asyncio.wait([asyncio.create_task(p.wait()) for p in processes], timeout=bound_s)
 
