@@ -1,5 +1,7 @@
 """Does learning hold up acting? Perception-to-action times with the evolvers at work and stopped, in one run.
 
+And how much slower is it than bare Zenoh? In one run, over one router, a ping-pong beside the brain.
+
 Run by name: `mdb test -m slow tests/benchmarks/test_latency.py -s`
 """
 
@@ -11,6 +13,9 @@ import numpy as np
 import pytest
 
 from mdb_protocol import keys, messages
+from mdb_protocol.bus import Bus, Inbox
+from mdb_protocol.zenoh_bus import ZenohBus
+from tests.benchmarks.pingpong import Bare
 from tests.integration.brain import Brain, until
 
 ITERATIONS = 400
@@ -47,10 +52,7 @@ def test_acting_does_not_wait_for_learning(
             return np.array(times[20:]) * 1e3
 
         working = collect()
-        for model in ("communication", "object", "induced"):
-            status = brain.status(bus, "evolver", model)
-            assert status is not None
-            os.kill(status.pid, signal.SIGSTOP)
+        stop_evolvers(brain, bus)
         while timings.take() is not None:
             pass
         stopped = collect()
@@ -66,3 +68,49 @@ def test_acting_does_not_wait_for_learning(
         lines.append(f"ratio of medians: {np.median(working) / np.median(stopped):.2f}")
         os.write(1, ("\n".join(lines) + "\n").encode())
     assert len(working) >= ITERATIONS - 20, "it acted all the while"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_from_perception_to_action_beside_a_bare_ping_pong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = ["", "| evolvers | ms | p50 | p95 | p99 |", "|---|---|--:|--:|--:|"]
+    with Brain(tmp_path, *SETTINGS, "robot.action_s=0.01") as brain, brain.bus() as bus:
+        timings = bus.subscriber(keys.TIMING)
+        until(lambda: bus.wait(0.05) and timings.take() is not None, 60.0)
+        router = (brain.run / "router.endpoint").read_text().strip()
+        for evolvers in ("at work", "stopped"):
+            if evolvers == "stopped":
+                stop_evolvers(brain, bus)
+            acting = beside(router, lines, evolvers, bus, timings)
+            assert len(acting) >= ITERATIONS, "it acted all the while"
+    with capsys.disabled():
+        os.write(1, ("\n".join(lines) + "\n").encode())
+
+
+def beside(router: str, lines: list[str], evolvers: str, bus: Bus, timings: Inbox) -> list[float]:
+    """Collect times of the brain while a ping-pong goes on; add what they were, and their ratio, to `lines`."""
+    acting: list[float] = []
+
+    def enough() -> bool:
+        bus.wait(0.05)
+        acting.extend(timing.perception_to_action_s for timing in timings.some())
+        return len(acting) >= 4 * ITERATIONS
+
+    with Bare(router, every_s=0.01) as bare:
+        while timings.take() is not None:
+            pass
+        until(enough, 120.0)
+        times = bare.times()[20:]
+    brains, bares = (np.percentile(np.array(x) * 1e3, [50, 95, 99]) for x in (acting[20:], times))
+    for name, found in (("perception to action", brains), ("bare ping-pong", bares), ("ratio", brains / bares)):
+        lines.append(f"| {evolvers} | {name} | {' | '.join(f'{value:.2f}' for value in found)} |")
+    return acting
+
+
+def stop_evolvers(brain: Brain, bus: ZenohBus) -> None:
+    for model in ("communication", "object", "induced"):
+        status = brain.status(bus, "evolver", model)
+        assert status is not None
+        os.kill(status.pid, signal.SIGSTOP)
