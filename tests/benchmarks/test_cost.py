@@ -43,7 +43,8 @@ LONG = ("experiment.iterations=100000", "robot.action_s=0.125", "evolution.popul
 COMPILED_S = 300.0
 WATCHED_S = 10.0
 BRAINS, CROWD = (4, 8, 12), ("experiment.iterations=100000", "robot.action_s=0.1")
-GENERATIONS, GENERATIONS_TURNS = 6, 25
+GENERATIONS, TURNS = (6, 100), 15
+"""In one call: as many as a memory version gets, and many."""
 PAIRS = (400, 800, 1600, 3200)
 INSERTS = """
 import sys, time, numpy
@@ -219,18 +220,17 @@ def test_a_generation(capsys: pytest.CaptureFixture[str]) -> None:
     lines += [f"| | {' | '.join(processes)} |", "|---|" + "--:|" * len(processes)]
     try:
         for network, population, pairs in CASES:
-            times: dict[str, list[float]] = {who: [] for who in processes}
             for who, process in processes.items():
                 process.ask("load", name=_entry(who), network=network, population=population, pairs=pairs)
-            for _ in range(GENERATIONS_TURNS):
-                for who, process in processes.items():
-                    spent_s = process.ask("sample", name=_entry(who), generations=GENERATIONS)[0]
-                    times[who].append(spent_s / GENERATIONS * 1e3)
-            cells = [
-                f"{np.median(times[who]):.3g} ({np.median(times[who]) / np.median(times['now']):.2f})"
-                for who in times
-            ]
-            lines.append(f"| {network}, {population} x {pairs} | {' | '.join(cells)} |")
+            for count in GENERATIONS:
+                times: dict[str, list[float]] = {who: [] for who in processes}
+                for _ in range(TURNS):
+                    for who, process in processes.items():
+                        spent_s = process.ask("sample", name=_entry(who), generations=count)[0]
+                        times[who].append(spent_s / count * 1e3)
+                medians = {who: float(np.median(found)) for who, found in times.items()}
+                cells = [f"{ms:.3g} ({ms / medians['now']:.2f})" for ms in medians.values()]
+                lines.append(f"| {network}, {population} x {pairs}, {count} in a call | {' | '.join(cells)} |")
     finally:
         for process in processes.values():
             process.close()
