@@ -88,7 +88,7 @@ def _up(arguments: argparse.Namespace) -> int:
 
 def _wanted(arguments: argparse.Namespace) -> Experiment:
     """Return the experiment, with all that is said beside it; MdbError when it cannot be begun."""
-    from mdb_deploy.running.up import check_connect, check_listen
+    from mdb_deploy.running.up import check_listen
     from mdb_services.experiment.run_folder import EXPERIMENT_FILE
     from mdb_sim.runs.experiment import Experiment
 
@@ -98,10 +98,8 @@ def _wanted(arguments: argparse.Namespace) -> Experiment:
         content.get("teacher", {}).pop("phase", None)  # what can be wanted stays
     experiment = Experiment(content, path)
     experiment.check_machine(elsewhere=arguments.no_robot, gui=arguments.gui)
-    brain = experiment.brain.experiment.brain
-    if arguments.connect:
-        check_connect(arguments.connect, arguments.keys, brain)
-    elif not arguments.inline:
+    if not (arguments.connect or arguments.inline):
+        brain = experiment.brain.experiment.brain
         check_listen(arguments.listen or USUAL, arguments.keys, brain, open_to_everyone=arguments.open_to_everyone)
     return experiment
 
@@ -109,11 +107,13 @@ def _wanted(arguments: argparse.Namespace) -> Experiment:
 def _run(arguments: argparse.Namespace, experiment: Experiment, template: Template | None) -> int:
     from mdb_deploy.running.console import console_of
     from mdb_deploy.running.progress import Progress
-    from mdb_deploy.running.up import UpOptions, new_run_folder, up_inline, up_processes
+    from mdb_deploy.running.up import UpOptions, check_connect, new_run_folder, up_inline, up_processes
     from mdb_deploy.supervision.processes import ENDPOINT_FILE
     from mdb_services.experiment.run_folder import EXPERIMENT_FILE
 
     section, listen = experiment.brain.experiment, arguments.listen or USUAL
+    if arguments.connect:  # which has threads
+        check_connect(arguments.connect, arguments.keys, section.brain)
     run = arguments.resume or new_run_folder(arguments.runs.resolve(), section.name, section.seed)
     run = run.resolve()
     if arguments.long_term is not None:
