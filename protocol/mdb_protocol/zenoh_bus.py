@@ -37,7 +37,7 @@ from mdb_protocol.probing import EVERY_S, Probe
 from mdb_protocol.waiting import Raw
 from mdb_protocol.zenoh_sessions import Router, ask_router, leave, open_client, stay_known
 
-__all__ = ["DEFAULT_ENDPOINT", "Router", "ZenohBus"]
+__all__ = ["Router", "ZenohBus"]
 
 RELIABLE_CACHE = 256
 """Samples a reliable publisher keeps for readers that missed some."""
@@ -49,7 +49,7 @@ ASKED_KEPT = 1024
 SERVED_AT_ONCE, SERVED_EVERY_S = 16, 0.1
 """Queries on one row answered before the service does its own work again, and how soon more than these: who asks
 without end waits. Told at once that there is no answer, he would ask again."""
-TOKENS_S, DEFAULT_ENDPOINT = 2.0, endpoints.USUAL
+TOKENS_S = 2.0
 
 
 class ZenohBus(Bus):
@@ -58,7 +58,7 @@ class ZenohBus(Bus):
     def __init__(
         self,
         brain: str,
-        connect: str = DEFAULT_ENDPOINT,
+        connect: str = endpoints.USUAL,
         *,
         credentials: Path | None = None,
         connect_timeout_s: float = 5.0,

@@ -36,7 +36,8 @@ CONTROL, WAITING = "data_high", 16
 a router with keys gives that one; and the batches that may wait there before a latest value is dropped.
 """
 LEFT_S = 5.0
-"""Bound on leaving: in a process of many sessions, closing one was seen never to end."""
+"""Bound on leaving: in a process of many sessions, closing one was seen never to end. There is none where Zenoh waits
+with Python's lock; a service has another bound for that (`Stopper`)."""
 THREADS = "ZENOH_RUNTIME"
 """Where Zenoh looks, at a process's first session, for which of its threads does what."""
 ROUTER_THREADS = "(rx: (worker_threads: 8))"

@@ -280,22 +280,24 @@ class _Forge:
         if between == 0:
             status = 70
             try:
-                between = os.getpid()
-                try:
-                    service = os.fork()
-                except OSError as error:
-                    self._answer(-(error.errno or errno.EAGAIN))
-                    service = -1
-                if service == 0:
-                    status = self._live(asked["words"], asked["environment"], asked["numbers"], descriptors, between)
-                else:
-                    status = 0
+                status = self._go_between(asked, descriptors)
             except BaseException:
                 with suppress(OSError):
                     os.write(descriptors[0], traceback.format_exc().encode())
             finally:
                 os._exit(status)
-        os.waitpid(between, 0)
+        if (code := os.waitstatus_to_exitcode(os.waitpid(between, 0)[1])) > 0:
+            raise OSError(code, "")
+
+    def _go_between(self, asked: dict[str, Any], descriptors: Sequence[int]) -> int:
+        """Fork the service, and be that in the fork; return the exit status, of who is between the error's number."""
+        between = os.getpid()
+        try:
+            if os.fork() > 0:
+                return 0
+        except OSError as error:
+            return error.errno or errno.EAGAIN
+        return self._live(asked["words"], asked["environment"], asked["numbers"], descriptors, between)
 
     def _live(
         self,
@@ -324,7 +326,6 @@ class _Forge:
         os.environ.clear()
         os.environ.update(environment)
         gc.freeze()  # what is looked at for garbage is written to, and then no longer shared
-        gc.enable()
         if "numpy.random" in sys.modules:
             sys.modules["numpy.random"].seed()  # else all would draw the same
         sys.argv = ["mdb", *words]

@@ -80,8 +80,8 @@ class Member:
 
 def words_of(process: psutil.Process) -> list[str]:
     """Return the command line of a process, word by word: a fork of the template has it in one piece."""
-    first, *more = process.cmdline()
-    return [first, *more] if any(more) else first.split()
+    words = process.cmdline()
+    return words if any(words[1:]) else "".join(words).split()
 
 
 class BrainUnderTest:

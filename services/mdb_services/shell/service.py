@@ -15,7 +15,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
 from typing import Protocol, runtime_checkable
@@ -34,6 +34,8 @@ WAIT_S = 0.1
 """Longest sleep of the loop: how late a stop or a timeout may be noticed."""
 SWITCH_S = 0.0005
 """A step gives way to the transport's threads this often: with Python's 0.005 they take in 200 samples a second."""
+STDERR = 2
+"""By its number, which is there whatever Python has of it."""
 METER_TICK_S = 1.0
 METER_MARKS = 5
 FAILURES_IN_A_ROW = 5
@@ -83,8 +85,7 @@ class Stopper:
         stop = self._told or (self._parent is not None and os.getppid() != self._parent)
         if stop and self._bound_s is not None:
             # Its watch needs no lock of Python's: Zenoh may hold that while it waits for a thread that wants it.
-            with suppress(OSError, ValueError, RuntimeError):  # there is no stderr to write to
-                faulthandler.dump_traceback_later(self._bound_s, exit=True)
+            faulthandler.dump_traceback_later(self._bound_s, exit=True, file=STDERR)
             self._bound_s = None
         return stop
 

@@ -106,12 +106,12 @@ def _do_parts(work: Work, board: Any, leads: bool) -> None:
 
 
 @compiled
-def _evolve(work: Work, board: Any, generations: int, leads: bool) -> None:
-    """Measure the first population and take it through generations, or help whoever does."""
+def _evolve(work: Work, board: Any, generations: int) -> None:
+    """Measure the first population and take it through generations; who helps does parts meanwhile."""
     elite, errors, fitness = work.settings.elite, work.errors, work.fitness
     first, second = work.populations
-    for step in range(generations + 1 if leads else 1):
-        if leads and step > 0:
+    for step in range(generations + 1):
+        if step > 0:
             parents, children = (first, second) if step % 2 else (second, first)
             order = find_best(fitness, work.order.size)
             work.order[:] = order[: work.order.size]
@@ -119,10 +119,9 @@ def _evolve(work: Work, board: Any, generations: int, leads: bool) -> None:
                 children[0][place], children[1][place] = parents[0][order[place]], parents[1][order[place]]
                 children[2][place] = parents[2][order[place]]
             errors[:elite], fitness[:elite] = errors[order[:elite]], fitness[order[:elite]]
-        if leads:
-            put_up(board, _parts(work))
-        _do_parts(work, board, leads)
-    if leads and generations % 2:  # the last generation is in the second population
+        put_up(board, _parts(work))
+        _do_parts(work, board, True)
+    if generations % 2:  # the last generation is in the second population
         first[0][:], first[1][:], first[2][:] = second
 
 
@@ -175,8 +174,8 @@ def evolve(
     try:
         with suppress(RuntimeError):  # there are no threads to be had
             for _ in range(helpers):
-                futures.append(_threads().submit(_evolve, work, board, 0, False))
-        _evolve(work, board, end - first, True)
+                futures.append(_threads().submit(_do_parts, work, board, False))
+        _evolve(work, board, end - first)
     finally:
         board[PUT_UP] = -1
         wait(futures)
