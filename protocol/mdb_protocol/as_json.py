@@ -103,19 +103,25 @@ def _plain(value: Any) -> dict[str, Any]:
     return {"dtype": value.dtype.str, "shape": value.shape, "data": data}
 
 
+class _Array(msgspec.Struct):
+    """An array as `_plain` writes it."""
+
+    dtype: codec.Dtype
+    shape: codec.ArrayShape
+    data: str
+
+
 def _array(wanted: type, value: Any) -> np.ndarray:
-    if wanted is not np.ndarray or not isinstance(value, dict):
+    if wanted is not np.ndarray:
         raise ValueError(f"expected an array, got {type(value).__name__}")
-    dtype, shape, data = value.get("dtype"), value.get("shape"), value.get("data")
-    if dtype not in codec.DTYPES or not codec.is_shape(shape) or not isinstance(data, str):
-        raise ValueError(f"array header {dtype!r}, {shape!r} is not one of {codec.DTYPES} with a shape and data")
+    given = msgspec.convert(value, _Array)
     try:
-        array = np.frombuffer(base64.b64decode(data, validate=True), dtype)
+        array = np.frombuffer(base64.b64decode(given.data, validate=True), given.dtype)
     except binascii.Error as error:
         raise ValueError(f"data of an array: {error}") from error
-    if math.prod(shape) != array.size:
-        raise ValueError(f"array of shape {shape} has {array.size} values; expected {math.prod(shape)}")
-    return array.reshape(shape)
+    if math.prod(given.shape) != array.size:
+        raise ValueError(f"array of shape {given.shape} has {array.size} values; expected {math.prod(given.shape)}")
+    return array.reshape(given.shape)
 
 
 _NOT_JSON = (TypeError, ValueError, OverflowError, RecursionError, msgspec.MsgspecError, msgpack.UnpackException)

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache, lru_cache
-from typing import Any, TypeGuard, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import msgpack
 import msgspec
 import numpy as np
+from msgspec import Meta
 
 from mdb_protocol.errors import DecodeError
 from mdb_protocol.messages import Message
@@ -32,7 +33,10 @@ LETTERS = 128
 """Most letters of an encoding."""
 ARRAY_EXT = 1
 """MessagePack extension type of an array: [dtype, shape, raw little-endian bytes]."""
-DTYPES = ("<f4", "<f8", "<i2", "<i8", "|u1")
+Dtype = Literal["<f4", "<f8", "<i2", "<i8", "|u1"]
+DTYPES = get_args(Dtype)
+ArrayShape = Annotated[list[Annotated[int, Meta(ge=0, le=MAX_BYTES)]], Meta(min_length=1, max_length=4)]
+"""Lengths that a payload has room for."""
 
 
 def encoding_of(message_type: type[Message]) -> str:
@@ -151,25 +155,14 @@ def array_parts(code: int, data: bytes | memoryview) -> tuple[str, list[int], by
     if code != ARRAY_EXT:
         raise ValueError(f"extension type {code} is unknown; expected {ARRAY_EXT}, an array")
     dtype, shape, raw = _ARRAY.decode(data)
-    if dtype not in DTYPES or not is_shape(shape):
-        raise ValueError(f"array header {dtype!r}, {shape!r} is not one of {DTYPES} with a shape")
     expected = math.prod(shape) * int(dtype[-1])
     if expected != len(raw):
         raise ValueError(f"array of shape {shape} has {len(raw)} bytes; expected {expected}")
     return dtype, shape, raw
 
 
-_ARRAY = msgspec.msgpack.Decoder(tuple[str, list[int], bytes])
+_ARRAY = msgspec.msgpack.Decoder(tuple[Dtype, ArrayShape, bytes])
 """[dtype, shape, bytes]."""
-
-
-def is_shape(shape: Any) -> TypeGuard[list[int]]:
-    """Whether something that came is the shape of an array that a payload has room for: 1 to 4 lengths."""
-    return (
-        isinstance(shape, list)
-        and 1 <= len(shape) <= 4
-        and all(type(length) is int and 0 <= length <= MAX_BYTES for length in shape)
-    )
 
 
 def _dec_hook(wanted: type, value: Any) -> Any:

@@ -170,7 +170,8 @@ class Recorder:
             self._end()
             self._begin()
             self._forget()
-        text, now = as_json.encode(message, raw.payload), time.time_ns()
+        known = raw.encoding == codec.encoding_of(type(message))  # a later version may say more
+        text, now = as_json.encode(message, None if known else raw.payload), time.time_ns()
         self._unflushed += 1
         channel = self._channels.of(raw.key, type(message), raw.encoding)
         self._writer.add_message(channel, now, text, now, sequence=self._count)

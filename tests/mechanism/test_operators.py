@@ -106,9 +106,10 @@ def evolved(
     inputs, targets = random.uniform(-1, 1, (20, shape.inputs)), random.uniform(-1, 1, (20, shape.outputs))
     data = (in_blocks(inputs), in_blocks(targets), len(inputs))
     first, sizes, population = 0, np.array(shape.sizes), (weights, promoters, steps)
+    populations = population, tuple(np.full_like(array, 77) for array in population)
     for count in (generations,) if isinstance(generations, int) else generations:
         span = (first, first + count)
-        evolve(population, errors, fitness, sizes, data, np.uint64(seed), span, settings_of(config), helpers)
+        evolve(populations, errors, fitness, sizes, data, np.uint64(seed), span, settings_of(config), helpers)
         first += count
     return population
 

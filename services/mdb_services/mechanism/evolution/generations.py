@@ -145,7 +145,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def evolve(
-    population: Any,
+    populations: Any,
     errors: Any,
     fitness: Any,
     sizes: Any,
@@ -155,7 +155,9 @@ def evolve(
     settings: Settings,
     helpers: int | None = None,
 ) -> None:
-    """Evolve the population (weights, promoters, steps) in place on data (inputs, targets, pairs).
+    """Evolve the first of two populations (weights, promoters, steps) in place on data (inputs, targets, pairs).
+
+    The second is room for their children, whatever is in it.
 
     generations (first, end) count those of this memory. First everyone is measured on the present memory: an old
     fitness says nothing once the memory changed. In a generation the best few stay, and offspring of the better
@@ -164,10 +166,9 @@ def evolve(
     helpers: how many threads help; as many as there are idle cores, if there is much to do, when it is not given.
     """
     first, end = generations
-    populations = population, tuple(array.copy() for array in population)
     order = np.zeros(max(settings.elite, parents_of(settings, len(errors))), np.int64)
     if helpers is None:
-        helpers = min(_idle_cores(), THREADS - 1) if population[0].size * data[2] >= MUCH else 0
+        helpers = min(_idle_cores(), THREADS - 1) if populations[0][0].size * data[2] >= MUCH else 0
     part, board = PART if helpers else len(errors), new_board()
     work = Work(populations, order, errors, fitness, sizes, data, key, first, part, settings)
     futures = []
@@ -178,4 +179,5 @@ def evolve(
         _evolve(work, board, end - first)
     finally:
         board[PUT_UP] = -1
-        wait(futures)
+        if futures:
+            wait(futures)

@@ -52,7 +52,7 @@ def error_of(network: Network, inputs: Floats, targets: Floats) -> float:
     if not len(inputs):
         return float("nan")
     misses = network.predict(inputs) - targets
-    return float(np.mean(np.square(misses, out=misses), dtype=np.float64))
+    return float(np.add.reduce(np.square(misses, out=misses), axis=None, dtype=np.float64) / misses.size)
 
 
 class Learner(ABC):

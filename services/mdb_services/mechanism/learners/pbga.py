@@ -36,6 +36,8 @@ class PromoterGA(Learner):
         self._weights = random.uniform(-limit, limit, (count, shape.weights)).astype(np.float32)
         self._promoters = (random.random((count, shape.units)) < config.expressed_first).astype(np.uint8)
         self._steps = np.full(count, config.step_first, dtype=np.float32)
+        self._children = tuple(np.zeros_like(array) for array in (self._weights, self._promoters, self._steps))
+        """For the next generation, while this one still has children."""
         self._errors, self._fitness = np.full(count, np.inf), np.full(count, np.inf)
         self._settings = Settings(**{name: getattr(config, name) for name in Settings._fields})
 
@@ -56,9 +58,9 @@ class PromoterGA(Learner):
 
     def _learn(self, memory: Memory, key: int, generations: range) -> None:
         span = (generations.start, generations.stop)
-        population = (self._weights, self._promoters, self._steps)
+        populations = (self._weights, self._promoters, self._steps), self._children
         data, settings = memory.blocks, self._settings
-        evolve(population, self._errors, self._fitness, self._sizes, data, np.uint64(key), span, settings)
+        evolve(populations, self._errors, self._fitness, self._sizes, data, np.uint64(key), span, settings)
 
     def _best(self) -> Layers:
         return self._expressed_by(int(self._fitness.argmin()))
