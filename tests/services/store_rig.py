@@ -36,7 +36,7 @@ class Rig:
         return MemoryStore(bus, self.settings, MemoryFile(self.path), clock=lambda: self.now)
 
     def restart(self) -> None:
-        """As after a kill: what was in memory is gone."""
+        """As after an end in order: what was in memory is gone."""
         self.store.close()
         self.store.bus.close()
         self.store = self._start()

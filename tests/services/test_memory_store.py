@@ -14,7 +14,7 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_services.experiment.brain import BrainConfig, brain_config
 from mdb_services.mechanism.feedback.praise import LATELY
 from mdb_services.memory.file import MemoryFile
-from mdb_services.memory.store import RETRY_S, MemoryStore
+from mdb_services.memory.store import KEPT_WITHIN_S, RETRY_S, MemoryStore
 from mdb_services.shell.elsewhere import BELIEVED_AFTER_S
 from tests.services.small import BRAIN, CONTENT, LOCKSTEP, config, config_of_vectors, done, in_ranges, model, pair
 from tests.services.store_rig import ITERATIONS, Rig, taken
@@ -105,6 +105,32 @@ def test_a_pair_sent_again_gets_the_same_answer_and_is_not_stored_twice(make_rig
     rig.give(pair(0))
     assert taken(rig.stored) == [first]
     assert on_disk(rig.path) == [0, 1]
+
+
+def test_a_model_is_on_disk_with_the_next_pair_or_soon_without_one_or_at_the_end(make_rig: MakeRig) -> None:
+    rig = make_rig()
+
+    def versions() -> list[int]:
+        with sqlite3.connect(rig.path) as db:
+            rows = db.execute("SELECT payload FROM model").fetchall()
+        encoding = codec.encoding_of(messages.CurrentModel)
+        return [codec.decode(messages.CurrentModel, payload, encoding).version for (payload,) in rows]
+
+    rig.give(pair(0))
+    rig.show(model("object", 1))
+    assert versions() == []
+    rig.give(pair(1))
+    assert versions() == [1]
+    rig.show(model("object", 2))
+    rig.now += KEPT_WITHIN_S / 2
+    rig.show(model("object", 3))
+    assert versions() == [1]
+    rig.now += KEPT_WITHIN_S
+    rig.store.step()
+    assert versions() == [3]
+    rig.show(model("object", 4))
+    rig.store.close()
+    assert versions() == [4]
 
 
 @pytest.mark.parametrize("memory", [{}, RELEVANCE], ids=["first-in-first-out", "relevance"])

@@ -123,6 +123,7 @@ class MemoryFile:
             self._db.execute(f"PRAGMA synchronous={'FULL' if power_safe else 'NORMAL'}")
             self._db.executescript(SCHEMA)
             columns = {row[1] for row in self._db.execute("PRAGMA table_info(pair)")}
+            (self._next,) = self._db.execute("SELECT coalesce(max(iteration) + 1, 0) FROM pair").fetchone()
         except sqlite3.Error as error:
             if code_of(error) in DAMAGE:
                 raise self.unusable(error) from error
@@ -177,8 +178,14 @@ class MemoryFile:
                     places = ", ".join("?" * len(rows[0]))
                     self._db.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({places})", rows)
 
-    def add(self, pair: messages.Pair, stored: messages.PairStored, effects: Iterable[Effects]) -> None:
-        """Write a pair with its acknowledgement and all that it did, in one transaction.
+    def add(
+        self,
+        pair: messages.Pair,
+        stored: messages.PairStored,
+        effects: Iterable[Effects],
+        models: Iterable[messages.CurrentModel] = (),
+    ) -> None:
+        """Write a pair with its acknowledgement and all that it did, and models to be kept, in one transaction.
 
         It takes the place of the same pair without feedback.
         """
@@ -187,6 +194,8 @@ class MemoryFile:
             self._db.execute("INSERT OR REPLACE INTO pair VALUES (?, ?, ?, ?, ?)", row)
             for effect in effects:
                 self._write(effect)
+            self._keep(models)
+        self._next = max(self._next, pair.iteration + 1)
 
     def begin(self, effects: Effects) -> None:
         """Write what a memory begins with, before any pair."""
@@ -234,6 +243,8 @@ class MemoryFile:
 
     def stored(self, iteration: int) -> messages.PairStored | None:
         """Return the acknowledgement of a pair that is on disk, or None."""
+        if iteration >= self._next:
+            return None
         row = self._db.execute("SELECT stored FROM pair WHERE iteration = ?", (iteration,)).fetchone()
         encoding = codec.encoding_of(messages.PairStored)
         return codec.decode(messages.PairStored, row[0], encoding) if row else None
@@ -251,7 +262,7 @@ class MemoryFile:
 
     def next_iteration(self) -> int:
         """Return the iteration after that of the last pair; 0 without one."""
-        return int(self._db.execute("SELECT coalesce(max(iteration) + 1, 0) FROM pair").fetchone()[0])
+        return int(self._next)
 
     def tried(self) -> list[tuple[int, int, int]]:
         """Return (note or -1, choice, iteration) of the last time that a choice was taken under a note."""
@@ -347,9 +358,12 @@ class MemoryFile:
 
     def keep_models(self, models: Iterable[messages.CurrentModel]) -> None:
         """Keep the last current model of each name."""
-        rows = [(model.model, codec.encode(model)) for model in models]
         with self._transaction():
-            self._db.executemany("INSERT OR REPLACE INTO model VALUES (?, ?)", rows)
+            self._keep(models)
+
+    def _keep(self, models: Iterable[messages.CurrentModel]) -> None:
+        rows = [(model.model, codec.encode(model)) for model in models]
+        self._db.executemany("INSERT OR REPLACE INTO model VALUES (?, ?)", rows)
 
     def models(self) -> dict[str, messages.CurrentModel]:
         """Return the kept models by name."""

@@ -32,6 +32,8 @@ log = structlog.get_logger()
 ROLE = "memory"
 FAR = 100
 """Pairs that may be on their way together and overtake one another."""
+KEPT_WITHIN_S = 1.0
+"""Models are written with the next pair, for which they were learnt; this long after they came if there is none."""
 STEP_S = 0.5
 """After this queries are answered and the heart beats, though pairs wait: many wait for a store that was dead."""
 RETRY_S = 1.0
@@ -60,6 +62,9 @@ class MemoryStore:
         self._lockstep = config.lockstep
         self._memories: dict[str, ModelMemory] = {}
         self._kept: dict[str, messages.CurrentModel] = {}
+        self._unkept: dict[str, messages.CurrentModel] = {}
+        """Those that are not on disk yet; `_unkept_s` is when the first of them came."""
+        self._unkept_s = 0.0
         self._duplicates = 0
         self._elsewhere = Elsewhere()
         self._waiting: _Waiting | None = None
@@ -117,8 +122,11 @@ class MemoryStore:
         models = list(self._models.some())
         newest = {model.model: model for model in models if self._remember(model)}
         moved = bool(models)
-        if newest:
-            self._written(lambda: self._file.keep_models(newest.values()))
+        if newest and not self._unkept:
+            self._unkept_s = began_s
+        self._unkept |= newest
+        if self._unkept and began_s - self._unkept_s > KEPT_WITHIN_S:
+            self._written(self._keep_models)
         for inbox in self._checkpoints:
             for checkpoint in inbox.some():
                 moved = True
@@ -176,6 +184,10 @@ class MemoryStore:
             log.info("writing to disk again", failures=self._unwritten)
             self._retry_s = 0.0
         return True
+
+    def _keep_models(self) -> None:
+        self._file.keep_models(self._unkept.values())
+        self._unkept.clear()
 
     def _keep(self, checkpoint: messages.Checkpoint) -> None:
         """Keep a checkpoint, unless it is of a memory that is not (yet) on disk."""
@@ -283,7 +295,8 @@ class MemoryStore:
         versions = {name: memory.stm.version for name, memory in self._memories.items()}
         judged = pair.feedback is not None
         stored = messages.PairStored(iteration=pair.iteration, versions=versions, judged=judged)
-        self._file.add(pair, stored, effects)
+        self._file.add(pair, stored, effects, self._unkept.values())
+        self._unkept.clear()
         return effects, stored
 
     def values(self) -> dict[str, float]:
@@ -298,5 +311,7 @@ class MemoryStore:
         return {"pairs": float(self._file.count()), **counts, **{k: v for m in memories for k, v in m.items()}}
 
     def close(self) -> None:
-        """Close the file."""
+        """Write the models that are not on disk yet, and close the file."""
+        if self._unkept:
+            self._written(self._keep_models)
         self._file.close()

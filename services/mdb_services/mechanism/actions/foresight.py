@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from mdb_services.mechanism.networks.encoding import Codebook, Facts, with_changes
 from mdb_services.mechanism.networks.network import Floats, Network
 
+AT_ONCE = 10_000
+"""Numbers that are compared in one go: more of them do not stay in the processor's cache."""
 GOOD_ERROR = 0.05
 """Mean squared, in scaled units: what a model has that has learnt well from a teacher who never errs (ours)."""
 
@@ -135,8 +137,10 @@ def foresee(mode: Mode, models: Models, facts: Facts, tried: Facts) -> Foreseen 
 
 def nearness(rows: Floats, support: Floats, reach: float) -> NDArray[np.float64]:
     """Return how near each row (m, inputs) is to each pair, inputs (n, inputs): 1 at the pair, less beyond (m, n)."""
-    gaps = [np.add.reduce(np.square(support - row), axis=1) for row in rows]
-    return np.exp(-np.array(gaps, dtype=np.float64) / reach**2)
+    some = max(1, AT_ONCE // max(support.size, 1))
+    parts = [rows[first : first + some, None] for first in range(0, len(rows), some)]
+    gaps = [np.add.reduce(np.square(support - part), axis=2) for part in parts]
+    return np.exp(-np.concatenate(gaps, dtype=np.float64) / reach**2)
 
 
 def shortfall(mode: Mode, models: Models, errors: Mapping[str, float]) -> float:
