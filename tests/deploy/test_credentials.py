@@ -15,6 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from mdb_deploy.cli.keys import ROLES
 from mdb_deploy.cli.main import main
 from mdb_deploy.keys import access
 from mdb_deploy.keys.credentials import KeyFolder
@@ -48,6 +49,10 @@ def common_name(path: Path) -> object:
 
 def days(found: x509.Certificate) -> int:
     return round((found.not_valid_after_utc - datetime.now(UTC)) / timedelta(days=1))
+
+
+def test_the_command_line_knows_each_role() -> None:
+    assert list(ROLES) == [role.value for role in Role]
 
 
 def test_only_the_owner_can_read_anything(folder: KeyFolder) -> None:
