@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import platform
 import sys
 from collections.abc import MutableMapping
+from functools import cache
 from typing import Any
 
 from mdb_deploy.cli import (
@@ -26,7 +26,7 @@ from mdb_deploy.cli import (
     web,
 )
 from mdb_deploy.cli.failing import let_go, told, unbreakable
-from mdb_deploy.cli.parsing import Parser, own_version
+from mdb_deploy.cli.parsing import Parser, Version
 from mdb_protocol.words import shown
 
 DESCRIPTION = """\
@@ -103,15 +103,16 @@ def _words_shown(_: object, __: str, event: MutableMapping[str, Any]) -> Mutable
     return {name: shown(value, lines=True) if isinstance(value, str) else value for name, value in event.items()}
 
 
+@cache
 def _parser() -> Parser:
+    """Return what knows all commands: made once, for who is a fork of `mdb up` has it in memory already."""
     parser = Parser(
         prog="mdb",
         description=DESCRIPTION,
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    python = f"Python {platform.python_version()}, {sys.executable}"
-    parser.add_argument("--version", action="version", version=f"mdb {own_version()} ({python})")
+    parser.add_argument("--version", action=Version)
     commands = parser.add_subparsers(required=True, metavar="COMMAND", title="commands")
     for command in ORDER:
         command.add(commands)

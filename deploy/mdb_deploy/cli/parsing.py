@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import platform
 import re
 import sys
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from mdb_protocol.words import close_to
@@ -54,6 +54,19 @@ class Parser(argparse.ArgumentParser):
         self.error(f"no such option or too many words: {', '.join(told)}")
 
 
+class Version(argparse.Action):
+    """Say the version, and end; argparse's own wants to know it each time, which takes 2 MB of each process."""
+
+    def __init__(self, option_strings: list[str], dest: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help="show program's version number and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        """See `argparse.Action`."""
+        python = f"Python {platform.python_version()}, {sys.executable}"
+        parser._print_message(f"mdb {own_version()} ({python})\n", sys.stdout)
+        parser.exit()
+
+
 def nearest(word: str, known: list[str]) -> str:
     """Return what to add to an error about a word: the nearest that is known, if one is near."""
     close = close_to(word, known)
@@ -62,6 +75,8 @@ def nearest(word: str, known: list[str]) -> str:
 
 def own_version() -> str:
     """Return the version of this project that is installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(DISTRIBUTION)
     except PackageNotFoundError:
