@@ -20,6 +20,7 @@ import gc
 import importlib
 import json
 import os
+import re
 import select
 import signal
 import socket
@@ -30,11 +31,16 @@ import traceback
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 LIBC = ctypes.CDLL(None)
 SUBREAPER = 36
 """PR_SET_CHILD_SUBREAPER of <linux/prctl.h>."""
+DONTNEED = 4
+"""MADV_DONTNEED of <asm-generic/mman-common.h>."""
+UNCHANGED = re.compile(r"^(\w+)-(\w+) r-.p .* /.*\n(?:\w+: .*\n)*?Anonymous: +0 kB", re.MULTILINE)
+"""In /proc/self/smaps: where a file is mapped that cannot be written to, and was not (as by the dynamic linker)."""
 THREADS = "/proc/self/task"
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """How libraries are told so."""
@@ -134,6 +140,7 @@ class Template:
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2 * MOST_BYTES)
         sys.stdout.flush()
         sys.stderr.flush()
+        gc.freeze()  # what is looked at for garbage is written to, and then no longer shared
         try:
             pid = os.fork()
         except OSError:  # no process or no memory left
@@ -217,6 +224,7 @@ class _Forge:
         weakref.finalize._registry.clear()  # type: ignore[attr-defined] # what the runner removes at its end is its own
         self._leave_what_is_the_runners()
         _name("mdb template")
+        gc.disable()  # until all is imported: the runner and the first services share what was there before
         with one_thread():
             for module in IMPORTED:
                 if not self._serve(0.0):
@@ -226,6 +234,7 @@ class _Forge:
             self._load_kernels()
         gc.collect()
         gc.freeze()
+        gc.enable()
         while self._serve(None):
             pass
         return 0
@@ -250,6 +259,7 @@ class _Forge:
             with suppress(Exception), kept_only():
                 compile_kernels()
                 self._loaded = True
+            _let_go_of_files()
 
     def _serve(self, seconds: float | None) -> bool:
         """Fork for the next request, if one comes so soon; return False once the runner is gone."""
@@ -325,7 +335,8 @@ class _Forge:
             os.dup2(numbers[0], number)
         os.environ.clear()
         os.environ.update(environment)
-        gc.freeze()  # what is looked at for garbage is written to, and then no longer shared
+        gc.freeze()
+        gc.enable()
         if "numpy.random" in sys.modules:
             sys.modules["numpy.random"].seed()  # else all would draw the same
         sys.argv = ["mdb", *words]
@@ -350,6 +361,17 @@ def _run(main: Callable[[list[str]], int], words: list[str]) -> int:
         with suppress(OSError, ValueError):
             stream.flush()
     return status
+
+
+def _let_go_of_files() -> None:
+    """Let go of what is in memory of libraries' files: of LLVM, which loads kernels, 70 MB that nobody uses again.
+
+    Who does use something again gets it from the system, which keeps the file's content for whoever reads it.
+    """
+    with suppress(OSError):
+        for begin, end in UNCHANGED.findall(Path("/proc/self/smaps").read_text()):
+            place, size = int(begin, 16), int(end, 16) - int(begin, 16)
+            LIBC.madvise(ctypes.c_void_p(place), ctypes.c_size_t(size), DONTNEED)
 
 
 def _name(title: str) -> None:
