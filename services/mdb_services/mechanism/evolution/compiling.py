@@ -1,5 +1,6 @@
 """How functions are compiled, and how those are made that emit instructions of their own."""
 
+import sys
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -18,6 +19,24 @@ VERSION = zlib.crc32(b"".join(file.read_bytes() for file in sorted(Path(__file__
 # Sums may be reordered into vectors and fused; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 
+
+def _without_linear_algebra() -> None:
+    """Let numba find no `scipy.linalg` when it looks whether it is there, if nobody else has it yet.
+
+    It would keep 8 MB of it, and load it for longer than our functions, which need none. Of what numba knows only
+    np.cov and np.corrcoef go by what it finds here.
+    """
+    name = "scipy.linalg"
+    if name in sys.modules:
+        return
+    sys.modules[name] = None  # type: ignore[assignment] # as Python says that there is none of that name
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        sys.modules.pop(name, None)
+
+
+_without_linear_algebra()
 
 _place = {"kept only": False, "nothing is kept": False}
 
