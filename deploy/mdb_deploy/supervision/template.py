@@ -141,6 +141,7 @@ class Template:
         sys.stdout.flush()
         sys.stderr.flush()
         gc.freeze()  # what is looked at for garbage is written to, and then no longer shared
+        _let_go_of_files()
         try:
             pid = os.fork()
         except OSError:  # no process or no memory left
