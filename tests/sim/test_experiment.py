@@ -14,6 +14,7 @@ from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import IterationReport
 from mdb_services.experiment.reading import read_file
 from mdb_services.recorder import read_log
+from mdb_sim.runs import experiment as experiments
 from mdb_sim.runs.compare import timeless
 from mdb_sim.runs.experiment import Experiment
 from mdb_sim.runs.inline import run_experiment
@@ -33,6 +34,21 @@ def test_a_written_experiment_is_read_again_as_it_was(tmp_path: Path) -> None:
     assert again.content == experiment.content
     assert again.brain == experiment.brain
     assert (again.robot, again.teacher) == (experiment.robot, experiment.teacher)
+
+
+def test_who_reads_what_a_kept_experiment_wrote_gets_that_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiments, "_kept", {})
+    experiment, file = Experiment.read(PAPER, SHORT), tmp_path / "experiment.toml"
+    experiment.keep()
+    experiment.write(file)
+    assert Experiment.read(file) is experiment
+    assert Experiment.read(file, ["experiment.iterations=25"]).brain.experiment.iterations == 25
+    file.write_text(file.read_text().replace("iterations = 24", "iterations = 23"))
+    assert Experiment.read(file).brain.experiment.iterations == 23
+    with pytest.raises(ConfigError, match="cannot read"):
+        Experiment.read(tmp_path / "none.toml")
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,7 @@ def _up(arguments: argparse.Namespace) -> int:
 
     with one_thread():
         experiment = _wanted(arguments)
+        experiment.keep()  # for the services
         template = Template.begin(main)
     try:
         return _run(arguments, experiment, template)

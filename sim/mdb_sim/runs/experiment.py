@@ -6,6 +6,8 @@ Owns the sections that only the simulation reads, and the builders of its two se
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,10 +15,11 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
+from mdb_protocol import files
 from mdb_protocol.bus import Bus
-from mdb_protocol.errors import ConfigError
+from mdb_protocol.errors import ConfigError, DamageError
 from mdb_services.experiment.brain import BrainConfig, brain_config
-from mdb_services.experiment.reading import convert, nearest, read_file
+from mdb_services.experiment.reading import MOST_BYTES, convert, nearest, read_file
 from mdb_services.experiment.sections import Section
 from mdb_sim.bodies.finding import check_window, make_body, spec_of
 from mdb_sim.body import Body, BodyError
@@ -32,6 +35,10 @@ from mdb_sim.teaching.sound import Player
 
 ROBOT_FILE = "robot.state"
 """Where the robot was, in a run folder."""
+
+
+_kept: dict[bytes, Experiment] = {}
+"""See `Experiment.keep`: by what they write."""
 
 
 class ChangeSection(Section, frozen=True, kw_only=True):
@@ -110,11 +117,23 @@ class Experiment:
     @classmethod
     def read(cls, path: Path, overrides: Iterable[str] = ()) -> Experiment:
         """Read a file with overrides applied; see `reading.read_file`."""
+        if not overrides and _kept:
+            with suppress(OSError, DamageError):  # of which is told below
+                if (kept := _kept.get(files.content(path, MOST_BYTES))) is not None:
+                    return kept
         return cls(placed(read_file(path, overrides), path), path)
 
     def write(self, path: Path) -> None:
         """Write the resolved experiment, overrides included: what a run folder keeps."""
-        path.write_text(tomli_w.dumps(self.content), encoding="utf-8")
+        path.write_bytes(self._written)
+
+    def keep(self) -> None:
+        """Keep it for whoever reads what it writes: forks of this process then share what was read and checked."""
+        _kept[self._written] = self
+
+    @cached_property
+    def _written(self) -> bytes:
+        return tomli_w.dumps(self.content).encode()
 
     @property
     def folder(self) -> Path | None:
