@@ -189,6 +189,8 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper, heart: Heart)
         "teacher": experiment.teacher_service,
         "ear": lambda bus: _ear(bus, experiment),
     }
+    if name == "robot" and not options.gui:
+        experiment.get_ready()
     instance = options.model or "" if name == EVOLVER else INSTANCES[name]
     try:
         bus = ZenohBus(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,13 @@ def make_body(name: str, options: Mapping[str, Any], folder: Path | None = None,
     check_members(body, MEMBERS, f"body={name!r}", "mdb_sim.body.Body")
     made: Body = body
     return made
+
+
+def get_ready(name: str, folder: Path | None = None) -> None:
+    """Let one of our bodies do what is to be done before the process has threads: its class's `get_ready`, if any."""
+    if name in BODIES:
+        with suppress(BodyError):  # which is told when the body is made
+            getattr(find(name, folder, "body", BODIES), "get_ready", lambda: None)()
 
 
 def check_window(name: str, folder: Path | None = None) -> None:

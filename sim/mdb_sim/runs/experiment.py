@@ -21,7 +21,7 @@ from mdb_protocol.errors import ConfigError, DamageError
 from mdb_services.experiment.brain import BrainConfig, brain_config
 from mdb_services.experiment.reading import MOST_BYTES, convert, nearest, read_file
 from mdb_services.experiment.sections import Section
-from mdb_sim.bodies.finding import check_window, make_body, spec_of
+from mdb_sim.bodies.finding import check_window, get_ready, make_body, spec_of
 from mdb_sim.body import Body, BodyError
 from mdb_sim.robot.course import Rules
 from mdb_sim.robot.service import RobotService
@@ -180,6 +180,10 @@ class Experiment:
             return make_body(self.robot.body, self.robot.options, self.folder, gui=gui)
         except BodyError as error:
             raise ConfigError(str(error)) from error
+
+    def get_ready(self) -> None:
+        """Do what is to be done for the robot's body before the process has threads."""
+        get_ready(self.robot.body, self.folder)
 
     def robot_service(self, bus: Bus, run: Path | None = None, *, gui: bool = False) -> RobotService:
         """Build the robot; ConfigError when the body cannot be had.

@@ -17,6 +17,7 @@ import pybullet
 import pybullet_data
 
 from mdb_services.mechanism.networks import streams
+from mdb_sim.bodies.bullet import client
 from mdb_sim.body import BodyError, Numbers, Outcome, Reading, Resting, Spec, check, check_episode
 
 SOLVER_ITERATIONS = 50
@@ -35,12 +36,13 @@ class BulletMachine(Resting, abc.ABC):
 
     simulated = True
     spec: Spec
+    get_ready = staticmethod(client.get_ready)
     places: tuple[str, ...]
     """The names of the numbers that tell where machine and thing are."""
 
     def __init__(self, model: str, height_m: float, hz: int, *, fixed: bool) -> None:
         """model: its file in pybullet_data; `fixed` to the floor, or free."""
-        self._client = pybullet.connect(pybullet.DIRECT)
+        self._client = client.connect()
         self._seed: int | None = None
         self._at: Numbers = {}
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=self._client)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pybullet
 
+from mdb_sim.bodies.bullet import client
 from mdb_sim.bodies.pioneer.arena import BODY_RADIUS_M, ArenaRobot
 from mdb_sim.bodies.pioneer.sonar import BODY_CENTRE_X_M, SONAR_HEIGHT_M, Array
 from mdb_sim.bodies.pioneer.world import TRACK_M, Placement, Pose
@@ -105,6 +106,7 @@ class PioneerRobot(ArenaRobot):
     """See `mdb_sim.body.Body`; `gui=True` opens PyBullet's window."""
 
     has_window = True
+    get_ready = staticmethod(client.get_ready)
 
     def __init__(self, *, gui: bool = False, **options: Any) -> None:
         super().__init__(**options)
@@ -112,7 +114,7 @@ class PioneerRobot(ArenaRobot):
         if gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
             # Asked for a window without one, pybullet ends the whole process.
             raise BodyError("gui=True needs a display, and DISPLAY is not set; set it or drop the gui option")
-        self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+        self._client = pybullet.connect(pybullet.GUI) if gui else client.connect()
         if self._client < 0:
             raise BodyError(f"pybullet gave no physics client (gui={gui}); a process can hold one window only")
         self._step_s = 1.0 / config.physics_hz
