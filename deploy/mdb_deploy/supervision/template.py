@@ -2,8 +2,9 @@
 
 So a brain imports once, and what was imported is in memory once. Services are processes as before: each dies alone,
 and is a child of the runner's. The template is forked from `mdb up` before that has a thread or a session, and has
-none itself: a fork has no copies of threads. It is there for speed only: without it (another system than Linux, or it
-died, or it is frozen) services are started as any program is.
+none itself: a fork has no copies of threads. It is `mdb up` that imports, though it needs little of it: imports write
+to what is there already, and a template that imported would no longer share that (20 MB). It is there for speed and
+memory only: without it (another system than Linux, or it died, or it is frozen) services are programs as any other.
 
 A service is the child of a child that ends at once; so the system gives it to the runner, which has asked for that
 (a "subreaper", see prctl(2)) and does not ask for more: what else loses its parent is not for it.
@@ -21,7 +22,6 @@ import importlib
 import json
 import os
 import re
-import select
 import signal
 import socket
 import sys
@@ -57,7 +57,7 @@ IMPORTED = (
 LEARNS = ["run", "evolver"]
 """Evolvers begin with their kernels loaded: else each would take the time and the memory for itself."""
 ANSWER_S = 10.0
-"""Bound on a fork: some imports may come before it, on a busy machine."""
+"""Bound on a fork: kernels may be loaded before it, on a busy machine."""
 ADOPTED_S = 2.0
 """Bound on being given to the runner."""
 MOST_BYTES, MOST_GIVEN = 2**18, 16
@@ -123,7 +123,7 @@ class Template:
 
     @classmethod
     def begin(cls, main: Callable[[list[str]], int]) -> Template | None:
-        """Fork it, early: before this process has threads; None where that cannot be.
+        """Import what services need, and fork it, before this process has threads; None where that cannot be.
 
         main: what does as `mdb` does with some words, and returns the exit status.
         """
@@ -131,7 +131,10 @@ class Template:
             return None
         try:
             os.close(os.pidfd_open(os.getpid()))  # not there before Linux 5.3, and forbidden in some places
-            if len(os.listdir(THREADS)) > 1 or LIBC.prctl(SUBREAPER, 0, 0, 0, 0):
+            if _threads() > 1 or LIBC.prctl(SUBREAPER, 0, 0, 0, 0):
+                return None
+            loaded = _fill()
+            if _threads() > 1:
                 return None
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         except (AttributeError, OSError):
@@ -140,8 +143,6 @@ class Template:
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2 * MOST_BYTES)
         sys.stdout.flush()
         sys.stderr.flush()
-        gc.freeze()  # what is looked at for garbage is written to, and then no longer shared
-        _let_go_of_files()
         try:
             pid = os.fork()
         except OSError:  # no process or no memory left
@@ -152,7 +153,7 @@ class Template:
             status = 1
             try:
                 ours.close()
-                status = _Forge(theirs, main).work()
+                status = _Forge(theirs, main, loaded).work()
             finally:
                 os._exit(status)
         theirs.close()
@@ -214,29 +215,18 @@ def _end(pid: int) -> None:
 class _Forge:
     """The template itself."""
 
-    def __init__(self, channel: socket.socket, main: Callable[[list[str]], int]) -> None:
+    def __init__(self, channel: socket.socket, main: Callable[[list[str]], int], loaded: bool) -> None:
         self._channel, self._main = channel, main
-        self._loaded = False
+        self._loaded = loaded
 
     def work(self) -> int:
-        """Import, and fork whom is asked for, until the runner is gone."""
+        """Fork whom is asked for, until the runner is gone."""
         os.setsid()  # Ctrl-C is for the runner
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # who ignores it cannot wait for children
         weakref.finalize._registry.clear()  # type: ignore[attr-defined] # what the runner removes at its end is its own
         self._leave_what_is_the_runners()
         _name("mdb template")
-        gc.disable()  # until all is imported: the runner and the first services share what was there before
-        with one_thread():
-            for module in IMPORTED:
-                if not self._serve(0.0):
-                    return 0
-                with suppress(Exception):  # whoever needs it says what is wrong with it
-                    importlib.import_module(module)
-            self._load_kernels()
-        gc.collect()
-        gc.freeze()
-        gc.enable()
-        while self._serve(None):
+        while self._serve():
             pass
         return 0
 
@@ -251,27 +241,15 @@ class _Forge:
                 if number > 2 and os.get_inheritable(number):
                     os.close(number)
 
-    def _load_kernels(self) -> None:
-        """Load what learns, compiled; what is not compiled yet each evolver compiles, and the next one finds it."""
-        from mdb_services.evolver import compile_kernels
-        from mdb_services.mechanism.evolution.compiling import kept_only
-
-        if not self._loaded:
-            with suppress(Exception), kept_only():
-                compile_kernels()
-                self._loaded = True
-            _let_go_of_files()
-
-    def _serve(self, seconds: float | None) -> bool:
-        """Fork for the next request, if one comes so soon; return False once the runner is gone."""
-        if not select.select([self._channel], [], [], seconds)[0]:
-            return True
+    def _serve(self) -> bool:
+        """Fork for the next request; return False once the runner is gone."""
         request, descriptors, _, _ = socket.recv_fds(self._channel, MOST_BYTES, MOST_GIVEN)
         if not request:
             return False
         asked = json.loads(request)
-        if asked["words"][:2] == LEARNS:
-            self._load_kernels()
+        if asked["words"][:2] == LEARNS and not self._loaded:  # another evolver may have compiled them
+            self._loaded = _load_kernels()
+            _let_go_of_files()
         try:
             if len(descriptors) != len(asked["numbers"]):
                 raise OSError(errno.EMFILE, "")
@@ -337,7 +315,6 @@ class _Forge:
         os.environ.clear()
         os.environ.update(environment)
         gc.freeze()
-        gc.enable()
         if "numpy.random" in sys.modules:
             sys.modules["numpy.random"].seed()  # else all would draw the same
         sys.argv = ["mdb", *words]
@@ -362,6 +339,39 @@ def _run(main: Callable[[list[str]], int], words: list[str]) -> int:
         with suppress(OSError, ValueError):
             stream.flush()
     return status
+
+
+def _threads() -> int:
+    return len(os.listdir(THREADS))
+
+
+def _fill() -> bool:
+    """Import what services need and load what learns; return whether that could be loaded.
+
+    Nobody looks for garbage meanwhile or later in what is there now: that is written to, and then no longer shared.
+    """
+    gc.disable()
+    with one_thread():
+        for module in IMPORTED:
+            with suppress(Exception):  # whoever needs it says what is wrong with it
+                importlib.import_module(module)
+        loaded = _load_kernels()
+    gc.freeze()
+    gc.enable()
+    _let_go_of_files()
+    return loaded
+
+
+def _load_kernels() -> bool:
+    """Load what learns, compiled; what is not compiled yet each evolver compiles, and the next one finds it."""
+    with suppress(Exception):
+        from mdb_services.evolver import compile_kernels
+        from mdb_services.mechanism.evolution.compiling import kept_only
+
+        with kept_only():
+            compile_kernels()
+        return True
+    return False
 
 
 def _let_go_of_files() -> None:
