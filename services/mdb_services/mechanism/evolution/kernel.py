@@ -1,8 +1,10 @@
 """Errors of a whole population over the short-term memory, compiled.
 
 Genomes are flat float32 rows, laid out as `networks.network.split_layers` views them; promoters are one byte a hidden
-unit. The pairs come transposed in blocks (`genomes.in_blocks`), so that a vector register holds one column of several
-pairs. A unit that is not expressed costs nothing.
+unit. Genomes are taken `GROUP` at a time: first their expressed units are packed, so that the weights which are at the
+same place in each lie side by side. A vector register then holds a few pairs for each genome of the group, and few
+pairs fill it, too. The pairs come transposed in blocks (`genomes.in_blocks`), each number as often as a group has
+genomes. A unit that is not expressed costs nothing, unless another genome of the group expresses more.
 
 The inner loops are written as LLVM instructions, since Python cannot say what makes them fast: the sums of several
 units for several vectors of pairs stay in registers from bias to tanh, and vectors are as wide as the processor has.
@@ -25,15 +27,30 @@ from numba.core.codegen import get_host_cpu_features
 from numba.core.errors import TypingError
 
 from mdb_services.mechanism.evolution.compiling import compiled, emitted
+from mdb_services.mechanism.evolution.vectors import (
+    BYTES,
+    FLOATS,
+    NUMBERS,
+    ROW,
+    Array,
+    first_lanes,
+    compressed,
+    every,
+    interleaved,
+    spread,
+)
 
 _FEATURES = get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES  # type: ignore[attr-defined]
 LANES = 16 if "+avx512f" in _FEATURES else 8
-"""Pairs in a vector: one register of AVX-512 or AVX, two of smaller processors."""
+"""Numbers in a vector: one register of AVX-512 or AVX, two of smaller processors."""
 
-VECTORS = 3
-"""Vectors taken through a layer together: with four units, twelve sums, as many as hide the time that one takes."""
+GROUP = 4
+"""Genomes taken through the pairs together: in a vector, the numbers of a pair for each of them lie side by side."""
 
-BLOCK = LANES * VECTORS
+VECTORS = 5 if LANES == 16 else 3
+"""Vectors taken through a layer together: with four units, as many sums as registers have room for."""
+
+BLOCK = LANES // GROUP * VECTORS
 """Pairs of a block. Of the last one, vectors without any pair are left out."""
 
 UNITS = (4, 2, 1)
@@ -52,21 +69,24 @@ LINE = 64
 """Bytes of a cache line: a vector that lies across two is read twice."""
 _FUSED = ("contract",)
 _FLOAT, _INDEX, _WORD = ir.FloatType(), ir.IntType(32), ir.IntType(64)
-_VECTOR = ir.VectorType(_FLOAT, LANES)
+_VECTOR, _FEW = ir.VectorType(_FLOAT, LANES), ir.VectorType(_FLOAT, GROUP)
 
 
 class _Plan(NamedTuple):
-    """Which units of a genome count, and where their weights are.
+    """What a group expresses, and where its weights are packed.
 
-    Units have slots, layer after layer, inputs first; in each layer those that count come first. For a slot, rows
-    (slots,) says where a unit's weights begin, columns (slots,) which weight of a receiver is for its signal. For a
-    layer, firsts (layers,) is its first slot, ends (layers,) that after its last unit that counts. All int64.
+    columns (layers, GROUP, units and room for `ROW` more) int32 says which units of a layer a genome expresses, own
+    (layers, GROUP) how many, counts (layers,) the most of them, firsts (layers,) where the layer's signals begin,
+    inputs first, starts (layers,) where it begins in packed, all int64. packed (float32): for each layer, expressed
+    unit, expressed unit of the layer before, and last the bias, a weight of each genome, 0 where it has none.
     """
 
-    rows: Any
     columns: Any
+    own: Any
+    counts: Any
+    starts: Any
     firsts: Any
-    ends: Any
+    packed: Any
 
 
 # ---- LLVM instructions: these functions run when the kernel is compiled, and emit it ----
@@ -116,74 +136,73 @@ def _at(builder: Any, pointer: Any, *steps: Any) -> Any:
     return pointer
 
 
-def _spread(builder: Any, number: Any) -> Any:
-    """Return a vector of one number."""
-    none = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
-    first = ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES)
-    return builder.shuffle_vector(builder.insert_element(none, number, _INDEX(0)), none, first)
-
-
 def _loop(builder: Any, first: Any, end: Any, step: int = 1) -> Any:
     return cgutils.for_range_slice(builder, first, end, _WORD(step), _WORD)
 
 
 class _Blocks(NamedTuple):
-    """Rows of pairs in blocks (blocks, rows, BLOCK): a pointer, and how many rows a block has."""
+    """Rows of pairs in blocks (blocks, rows, BLOCK, GROUP): a pointer, and how many rows a block has."""
 
     pointer: Any
     rows: Any
 
     def vectors(self, builder: Any, block: Any, row: Any, count: int) -> list[Any]:
         """Return pointers to the first vectors of a row."""
-        place = builder.mul(builder.add(builder.mul(block, self.rows), row), _WORD(BLOCK))
+        place = builder.mul(builder.add(builder.mul(block, self.rows), row), _WORD(BLOCK * GROUP))
         start = builder.bitcast(_at(builder, self.pointer, place), _VECTOR.as_pointer())
         return [_at(builder, start, vector) for vector in range(count)]
 
 
-class _Layer(NamedTuple):
-    """What the instructions for a hidden layer refer to; bias: its column; units, senders, receivers: (slot, end)."""
+class _Matrix(NamedTuple):
+    """Packed weights of a layer: a pointer, how many units it has, and how many weights each of them."""
 
-    weights: Any
-    rows: Any
-    columns: Any
-    bias: Any
+    pointer: Any
+    units: Any
+    width: Any
+
+    def row(self, builder: Any, unit: Any) -> Any:
+        """Return the pointer to a unit's weights."""
+        return _at(builder, self.pointer, builder.mul(builder.mul(unit, self.width), _WORD(GROUP)))
+
+
+def _weight(builder: Any, row: Any, column: Any) -> Any:
+    """Return a vector of a weight of each genome."""
+    place = _at(builder, row, builder.mul(column, _WORD(GROUP)))
+    return spread(builder, builder.load(builder.bitcast(place, _FEW.as_pointer()), align=4 * GROUP), LANES)
+
+
+class _Layer(NamedTuple):
+    """What the instructions for a hidden layer refer to; receivers: the outputs, if they come next."""
+
+    weights: _Matrix
+    receivers: _Matrix
     source: _Blocks
     work: _Blocks
-    units: Sequence[Any]
-    senders: Sequence[Any]
-    receivers: Sequence[Any]
-
-    def row(self, builder: Any, slot: Any) -> Any:
-        """Return the pointer to a unit's weights."""
-        return _at(builder, self.weights, builder.load(_at(builder, self.rows, slot)))
+    slot: Any
+    first_receiver: Any
 
 
 def _emit_units(builder: Any, layer: _Layer, unit: Any, units: int, block: Any, vectors: int) -> None:
-    """Take some units, from a slot on, through the first vectors of a block of pairs."""
-    slots = [builder.add(unit, _WORD(u)) for u in range(units)]
-    rows = [layer.row(builder, slot) for slot in slots]
-    biases = [_spread(builder, builder.load(_at(builder, row, layer.bias))) for row in rows]
-
-    signals = _emit_signals(builder, layer, rows, biases, block, vectors)
-    first, end = layer.receivers
-    with builder.if_then(builder.icmp_signed("==", first, end)):
-        for slot, own in zip(slots, signals, strict=True):
-            for signal, place in zip(own, layer.work.vectors(builder, _WORD(0), slot, vectors), strict=True):
+    """Take some units through the first vectors of a block of pairs."""
+    own = [builder.add(unit, _WORD(u)) for u in range(units)]
+    signals = _emit_signals(builder, layer, own, block, vectors)
+    with builder.if_then(builder.icmp_signed("==", layer.receivers.units, _WORD(0))):
+        for u, its in zip(own, signals, strict=True):
+            slot = builder.add(layer.slot, u)
+            for signal, place in zip(its, layer.work.vectors(builder, _WORD(0), slot, vectors), strict=True):
                 builder.store(signal, place, align=4)
-    _emit_sending(builder, layer, slots, signals)
+    _emit_sending(builder, layer, own, signals)
 
 
-def _emit_signals(
-    builder: Any, layer: _Layer, rows: Sequence[Any], biases: Sequence[Any], block: Any, vectors: int
-) -> list[list[Any]]:
+def _emit_signals(builder: Any, layer: _Layer, units: Sequence[Any], block: Any, vectors: int) -> list[list[Any]]:
     """Return the signals of units for the first vectors of a block: tanh of the bias plus what they receive."""
+    rows, senders = [layer.weights.row(builder, u) for u in units], builder.sub(layer.weights.width, _WORD(1))
+    biases = [_weight(builder, row, senders) for row in rows]
     sums = [[cgutils.alloca_once_value(builder, bias) for _ in range(vectors)] for bias in biases]
-    first, end = layer.senders
-    with _loop(builder, _WORD(0), builder.sub(end, first)) as (sender, _):
-        column = builder.load(_at(builder, layer.columns, first, sender))
+    with _loop(builder, _WORD(0), senders) as (sender, _):
         received = [builder.load(place, align=4) for place in layer.source.vectors(builder, block, sender, vectors)]
         for row, own in zip(rows, sums, strict=True):
-            weight = _spread(builder, builder.load(_at(builder, row, column)))
+            weight = _weight(builder, row, sender)
             for vector, total in zip(received, own, strict=True):
                 builder.store(_multiply_add(builder, weight, vector, builder.load(total)), total)
     flat = [builder.load(total) for own in sums for total in own]
@@ -191,15 +210,14 @@ def _emit_signals(
     return [flat[start : start + vectors] for start in range(0, len(flat), vectors)]
 
 
-def _emit_sending(builder: Any, layer: _Layer, slots: Sequence[Any], signals: Sequence[Sequence[Any]]) -> None:
+def _emit_sending(builder: Any, layer: _Layer, units: Sequence[Any], signals: Sequence[Sequence[Any]]) -> None:
     """Add the weighted signals of units to each receiver's row."""
-    columns = [builder.load(_at(builder, layer.columns, slot)) for slot in slots]
-    with _loop(builder, *layer.receivers) as (receiver, _):
-        row = layer.row(builder, receiver)
-        places = layer.work.vectors(builder, _WORD(0), receiver, len(signals[0]))
+    with _loop(builder, _WORD(0), layer.receivers.units) as (receiver, _):
+        row, slot = layer.receivers.row(builder, receiver), builder.add(layer.first_receiver, receiver)
+        places = layer.work.vectors(builder, _WORD(0), slot, len(signals[0]))
         sums = [builder.load(place, align=4) for place in places]
-        for column, own in zip(columns, signals, strict=True):
-            weight = _spread(builder, builder.load(_at(builder, row, column)))
+        for unit, own in zip(units, signals, strict=True):
+            weight = _weight(builder, row, unit)
             sums = [_multiply_add(builder, weight, *pair) for pair in zip(own, sums, strict=True)]
         for total, place in zip(sums, places, strict=True):
             builder.store(total, place, align=4)
@@ -225,12 +243,25 @@ def _check(**arrays: Any) -> None:
             raise TypingError(f"{name}: {kind}; expected float32, C-contiguous: np.ascontiguousarray(x, np.float32)")
 
 
+def _tables(context: Any, builder: Any, kind: Any, plan: Any) -> tuple[Any, ...]:
+    """Return the pointers to a plan's arrays."""
+    arrays = zip(kind, cgutils.unpack_tuple(builder, plan), strict=True)
+    return tuple(_array(context, builder, *array)[0] for array in arrays)
+
+
+def _packed(context: Any, builder: Any, kind: Any, plan: Any, layer: Any) -> _Matrix:
+    _, _, counts, starts, _, packed = _tables(context, builder, kind, plan)
+    units, senders = (builder.load(_at(builder, counts, builder.sub(layer, _WORD(step)))) for step in (0, 1))
+    pointer = _at(builder, packed, builder.load(_at(builder, starts, layer)))
+    return _Matrix(pointer, units, builder.add(senders, _WORD(1)))
+
+
 @emitted
 def _hidden_layer(
     typingctx: Any,  # noqa: ARG001
-    weights: Any,
     plan: Any,
     layer: Any,
+    last: Any,
     inputs: Any,
     work: Any,
     block: Any,
@@ -238,112 +269,228 @@ def _hidden_layer(
 ) -> Any:
     """Take a hidden layer's units through the first vectors of a block.
 
-    weights: those of all genomes, flat; plan: `_Plan`; inputs (blocks, inputs, BLOCK); work (1, slots, BLOCK): the
+    plan: `_Plan`; last: the outputs' layer; inputs (blocks, inputs, BLOCK, GROUP); work (1, slots, BLOCK, GROUP): the
     units' signals go to their rows; those of the last hidden layer are weighted and added to the outputs' rows.
     """
-    _check(weights=weights, inputs=inputs, work=work)
+    _check(inputs=inputs, work=work)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kinds, (weights, plan, layer, inputs, work, block, vectors) = signature.args, arguments
+        kinds, (plan, layer, last, inputs, work, block, vectors) = signature.args, arguments
         inputs, work = (_blocks(context, builder, kinds[k], array) for k, array in ((3, inputs), (4, work)))
-        tables = zip(kinds[1], cgutils.unpack_tuple(builder, plan), strict=True)
-        rows, columns, firsts, ends = (_array(context, builder, *table) for table in tables)
-        last = builder.sub(firsts[1][0], _WORD(1))
-
-        def span(index: Any) -> list[Any]:
-            return [builder.load(_at(builder, pointer, index)) for pointer, _ in (firsts, ends)]
-
-        units, senders, receivers = span(layer), span(builder.sub(layer, _WORD(1))), span(last)
+        firsts = _tables(context, builder, kinds[0], plan)[4]
+        weights, receivers = (_packed(context, builder, kinds[0], plan, which) for which in (layer, last))
+        layers = (builder.sub(layer, _WORD(1)), layer, last)
+        sent, slot, outputs = (builder.load(_at(builder, firsts, which)) for which in layers)
         is_last = builder.icmp_signed("==", layer, builder.sub(last, _WORD(1)))
-        receivers[1] = builder.select(is_last, receivers[1], receivers[0])
+        receivers = receivers._replace(units=builder.select(is_last, receivers.units, _WORD(0)))
         is_first = builder.icmp_signed("==", layer, _WORD(1))
-        signals = _at(builder, work.pointer, builder.mul(senders[0], _WORD(BLOCK)))
+        signals = _at(builder, work.pointer, builder.mul(sent, _WORD(BLOCK * GROUP)))
         source = _Blocks(*map(builder.select, [is_first] * 2, inputs, (signals, work.rows)))
-        pointers = (_array(context, builder, kinds[0], weights)[0], rows[0], columns[0])
-        bias = builder.sub(units[0], senders[0])
-        parts = _Layer(*pointers, bias, source, work, units, senders, receivers)
+        parts = _Layer(weights, receivers, source, work, slot, outputs)
         block = builder.select(is_first, block, _WORD(0))
         for number in range(1, VECTORS + 1):
             with builder.if_then(builder.icmp_signed("==", vectors, _WORD(number))):
-                first, end = units
+                first = _WORD(0)
                 for count in UNITS:
-                    stop = builder.add(first, builder.and_(builder.sub(end, first), _WORD(-count)))
+                    stop = builder.add(first, builder.and_(builder.sub(weights.units, first), _WORD(-count)))
                     with _loop(builder, first, stop, count) as (unit, _):
                         _emit_units(builder, parts, unit, count, block, number)
                     first = stop
         return context.get_dummy_value()
 
-    return types.void(weights, plan, layer, inputs, work, block, vectors), generate
+    return types.void(plan, layer, last, inputs, work, block, vectors), generate
 
 
 @emitted
-def _set_row(typingctx: Any, work: Any, slot: Any, bias: Any, targets: Any, block: Any, output: Any) -> Any:  # noqa: ARG001
-    """Set a row of work to the bias minus the targets: what units send then makes it the outputs' misses."""
+def _set_row(typingctx: Any, plan: Any, last: Any, output: Any, targets: Any, block: Any, work: Any) -> Any:  # noqa: ARG001
+    """Set an output's row of work to the bias minus the targets: what units send then makes it the misses."""
     _check(work=work, targets=targets)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        work, slot, bias, targets, block, output = arguments
-        places = _blocks(context, builder, signature.args[0], work).vectors(builder, _WORD(0), slot, VECTORS)
-        wanted = _blocks(context, builder, signature.args[3], targets).vectors(builder, block, output, VECTORS)
-        for place, target in zip(places, wanted, strict=True):
-            builder.store(builder.fsub(_spread(builder, bias), builder.load(target, align=4)), place, align=4)
+        kinds, (plan, last, output, targets, block, work) = signature.args, arguments
+        weights = _packed(context, builder, kinds[0], plan, last)
+        bias = _weight(builder, weights.row(builder, output), builder.sub(weights.width, _WORD(1)))
+        first = builder.load(_at(builder, _tables(context, builder, kinds[0], plan)[4], last))
+        work, targets = (_blocks(context, builder, kinds[k], array) for k, array in ((5, work), (3, targets)))
+        places = work.vectors(builder, _WORD(0), builder.add(first, output), VECTORS)
+        for place, target in zip(places, targets.vectors(builder, block, output, VECTORS), strict=True):
+            builder.store(builder.fsub(bias, builder.load(target, align=4)), place, align=4)
         return context.get_dummy_value()
 
-    return types.void(work, slot, types.float32, targets, block, output), generate
+    return types.void(plan, last, output, targets, block, work), generate
 
 
 @emitted
-def _sum_of_squares(typingctx: Any, work: Any, slot: Any, count: Any) -> Any:  # noqa: ARG001
-    """Return the sum of the squares of the first numbers of a row of work."""
+def _add_squares(typingctx: Any, work: Any, slot: Any, count: Any, sums: Any) -> Any:  # noqa: ARG001
+    """Add the squares of a row of work, of as many pairs as count, to sums (LANES,)."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        work, slot, count = arguments
-        total = zero = ir.Constant(_VECTOR, [0.0] * LANES)
-        places = _blocks(context, builder, signature.args[0], work).vectors(builder, _WORD(0), slot, VECTORS)
+        kinds, (work, slot, count, sums) = signature.args, arguments
+        place_of_sums = builder.bitcast(_array(context, builder, kinds[3], sums)[0], _VECTOR.as_pointer())
+        total, zero = builder.load(place_of_sums, align=4), ir.Constant(_VECTOR, [0.0] * LANES)
+        places = _blocks(context, builder, kinds[0], work).vectors(builder, _WORD(0), slot, VECTORS)
+        count = spread(builder, builder.trunc(count, _INDEX), LANES)
         for vector, place in enumerate(places):
-            indices = ir.Constant(ir.VectorType(_WORD, LANES), [vector * LANES + lane for lane in range(LANES)])
-            counts = builder.icmp_signed("<", indices, _spread(builder, count))
+            pairs = [(vector * LANES + lane) // GROUP for lane in range(LANES)]
+            counts = builder.icmp_signed("<", ir.Constant(ir.VectorType(_INDEX, LANES), pairs), count)
             number = builder.select(counts, builder.load(place, align=4), zero)
             total = _multiply_add(builder, number, number, total)
-        kind = ir.FunctionType(_FLOAT, [_FLOAT, _VECTOR])
-        add_up = cgutils.get_or_insert_function(builder.module, kind, f"llvm.vector.reduce.fadd.v{LANES}f32")
-        return builder.call(add_up, [_FLOAT(0.0), total], fastmath=("reassoc",))
+        builder.store(total, place_of_sums, align=4)
+        return context.get_dummy_value()
 
-    return types.float32(work, slot, count), generate
+    return types.void(work, slot, count, sums), generate
+
+
+@emitted
+def _note_expressed(
+    typingctx: Any,  # noqa: ARG001
+    promoters: Any,
+    gene: Any,
+    units: Any,
+    unit: Any,
+    width: Any,
+    columns: Any,
+    rows: Any,
+    place: Any,
+) -> Any:
+    """Write which of a row of units are expressed, and return how many; unit: the number of the first one."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds, (promoters, gene, units, unit, width, *tables, place) = signature.args, arguments
+        promoters = Array(context, builder, kinds[0], promoters)
+        columns, rows = (Array(context, builder, kind, table) for kind, table in zip(kinds[5:7], tables, strict=True))
+        genes = promoters.load(gene, BYTES, first_lanes(builder, units), every(BYTES, 0))
+        expressed = builder.icmp_unsigned("!=", genes, every(BYTES, 0))
+        numbers = builder.add(spread(builder, builder.trunc(unit, _INDEX)), NUMBERS)
+        numbers = compressed(builder, numbers, expressed)
+        columns.store(numbers, place)
+        rows.store(builder.mul(numbers, spread(builder, builder.trunc(width, _INDEX))), place)
+        count = builder.bitcast(expressed, ir.IntType(ROW))
+        return builder.zext(builder.ctpop(count), _WORD)
+
+    word = types.int64
+    return types.int64(promoters, word, word, word, word, columns, rows, word), generate
+
+
+@emitted
+def _pack_rows(
+    typingctx: Any,  # noqa: ARG001
+    weights: Any,
+    bases: Any,
+    rows: Any,
+    layer: Any,
+    units: Any,
+    width: Any,
+    packed: Any,
+    place: Any,
+) -> Any:
+    """Pack all weights of the first expressed units of a layer; see `_Plan`. bases: as `_pack` has them."""
+    _check(weights=weights, packed=packed)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds, (weights, bases, rows, layer, units, width, packed, place) = signature.args, arguments
+        weights, packed = (Array(context, builder, kinds[k], array) for k, array in ((0, weights), (6, packed)))
+        bases, _ = _array(context, builder, kinds[1], bases)
+        rows, shape = _array(context, builder, kinds[2], rows)
+        genomes = [builder.add(builder.mul(layer, _WORD(GROUP)), _WORD(genome)) for genome in range(GROUP)]
+        tables = [_at(builder, rows, builder.mul(genome, shape[2])) for genome in genomes]
+        bases = [builder.load(_at(builder, bases, genome)) for genome in range(GROUP)]
+
+        def emit(unit: Any, part: Any) -> None:
+            left, at = builder.sub(width, part), builder.add(builder.mul(unit, width), part)
+            at = builder.add(place, builder.mul(at, _WORD(GROUP)))
+            mask, row = first_lanes(builder, left), []
+            for base, table in zip(bases, tables, strict=True):
+                start = builder.zext(builder.load(_at(builder, table, unit)), _WORD)
+                start = builder.add(builder.add(base, start), part)
+                row.append(weights.load(start, FLOATS, mask, every(FLOATS, 0.0)))
+            for step, mixed in enumerate(interleaved(builder, row)):
+                with builder.if_then(builder.icmp_signed(">", left, _WORD(step * ROW // GROUP))):
+                    packed.store(mixed, builder.add(at, _WORD(step * ROW)))
+
+        with builder.if_else(builder.icmp_signed(">", width, _WORD(ROW))) as (long, short):
+            with long, _loop(builder, _WORD(0), units) as (unit, _), _loop(builder, _WORD(0), width, ROW) as (part, _):
+                emit(unit, part)
+            with short, _loop(builder, _WORD(0), units) as (unit, _):
+                emit(unit, _WORD(0))
+        return context.get_dummy_value()
+
+    word = types.int64
+    return types.void(weights, bases, rows, word, word, word, packed, word), generate
+
+
+@emitted
+def _squared_weights(typingctx: Any, plan: Any, layer: Any, sums: Any) -> Any:  # noqa: ARG001
+    """Add the squares of a layer's packed weights to sums (GROUP,)."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds, (plan, layer, sums) = signature.args, arguments
+        weights = _packed(context, builder, kinds[0], plan, layer)
+        place_of_sums = builder.bitcast(_array(context, builder, kinds[2], sums)[0], _FEW.as_pointer())
+        total, own = (cgutils.alloca_once_value(builder, ir.Constant(_FEW, [0.0] * GROUP)) for _ in range(2))
+        builder.store(builder.load(place_of_sums, align=4), total)
+        with _loop(builder, _WORD(0), weights.units) as (unit, _):
+            row = builder.bitcast(weights.row(builder, unit), _FEW.as_pointer())
+            builder.store(ir.Constant(_FEW, [0.0] * GROUP), own)
+            with _loop(builder, _WORD(0), weights.width) as (column, _):
+                weight = builder.load(_at(builder, row, column), align=4 * GROUP)
+                builder.store(_multiply_add(builder, weight, weight, builder.load(own)), own)
+            # One unit's sum need not wait for another's.
+            builder.store(builder.fadd(builder.load(total), builder.load(own)), total)
+        builder.store(builder.load(total), place_of_sums, align=4)
+        return context.get_dummy_value()
+
+    return types.void(plan, layer, sums), generate
 
 
 # ---- compiled Python ----
 
 
 @compiled
-def _find_expressed(promoters: Any, individual: int, sizes: Any, start: int, plan: _Plan) -> None:
-    """Write the plan of an individual whose weights begin at start."""
-    gene, last = np.uint64(0), sizes.size - 1
-    for layer in range(1, sizes.size):
-        slot = np.uint64(plan.firsts[layer])
-        for unit in range(sizes[layer]):
-            # No branch: nobody could foretell it. What is not expressed is written over by the next unit.
-            plan.rows[slot], plan.columns[slot] = start, unit
-            slot += np.uint64(1 if layer == last else promoters[individual, gene + np.uint64(unit)])
-            start += sizes[layer - 1] + 1
-        gene += np.uint64(sizes[layer])
-        plan.ends[layer] = slot
+def _find_expressed(promoters: Any, sizes: Any, first: int, columns: Any, rows: Any, own: Any, counts: Any) -> None:
+    """Write which units are expressed by the group of individuals that begins with the first; see `_Plan`."""
+    room, last = columns.shape[2], sizes.size - 1
+    for layer in range(1, last):
+        counts[layer] = 0
+    for genome in range(GROUP):
+        gene = min(first + genome, promoters.shape[0] - 1) * promoters.shape[1]
+        for layer in range(1, last):
+            place, count = (layer * GROUP + genome) * room, 0
+            for unit in range(0, sizes[layer], ROW):
+                left, width = sizes[layer] - unit, sizes[layer - 1] + 1
+                count += _note_expressed(promoters, gene + unit, left, unit, width, columns, rows, place + count)
+            gene += sizes[layer]
+            own[layer, genome], counts[layer] = count, max(counts[layer], count)
 
 
 @compiled
-def _squared_weights(weights: Any, plan: _Plan) -> Any:
-    """Return the sum of the squares of the weights that count."""
-    total = np.float32(0)
-    for layer in range(1, plan.ends.size):
-        first, end = np.uint64(plan.firsts[layer - 1]), np.uint64(plan.ends[layer - 1])
-        bias = np.uint64(plan.firsts[layer] - plan.firsts[layer - 1])
-        for slot in range(np.uint64(plan.firsts[layer]), np.uint64(plan.ends[layer])):
-            row = np.uint64(plan.rows[slot])
-            own = weights[row + bias] ** 2
-            for sender in range(first, end):
-                own += weights[row + np.uint64(plan.columns[sender])] ** 2
-            total += own  # one unit's sum need not wait for another's
-    return total
+def _pack(
+    weights: Any, sizes: Any, bases: Any, columns: Any, rows: Any, own: Any, counts: Any, starts: Any, packed: Any
+) -> None:
+    """Pack what a group expresses; bases (GROUP,): where its genomes begin in weights. See `_Plan`."""
+    place = 0
+    for layer in range(1, sizes.size):
+        senders, before, whole = counts[layer - 1], sizes[layer - 1], True
+        for genome in range(GROUP):
+            whole &= own[layer - 1, genome] == before
+        starts[layer] = place
+        if whole:
+            _pack_rows(weights, bases, rows, layer, counts[layer], before + 1, packed, place)
+        else:
+            for unit in range(counts[layer]):
+                at = place + unit * (senders + 1) * GROUP
+                for genome in range(GROUP):
+                    row, its_own = bases[genome] + rows[layer, genome, unit], own[layer - 1, genome]
+                    for sender in range(senders):
+                        weight = weights[row + columns[layer - 1, genome, sender]]
+                        packed[at + sender * GROUP + genome] = weight if sender < its_own else np.float32(0)
+                    packed[at + senders * GROUP + genome] = weights[row + before]
+        place += counts[layer] * (senders + 1) * GROUP
+        for genome in range(GROUP):
+            if own[layer, genome] < counts[layer]:
+                for at in range(starts[layer] + own[layer, genome] * (senders + 1) * GROUP + genome, place, GROUP):
+                    packed[at] = 0
+            bases[genome] += sizes[layer] * (before + 1)
 
 
 @compiled
@@ -353,30 +500,50 @@ def population_errors(
     """Write each genome's mean squared error over the pairs, and the sum of its squared weights that count.
 
     weights (population, weights) float32; promoters (population, hidden units) uint8; sizes (layers,) int64;
-    inputs (blocks, inputs, BLOCK) and targets (blocks, outputs, BLOCK) float32 from `genomes.in_blocks`; pairs is the
-    number of true pairs, at least one; errors and squares (population,) float64. Squares of size 0 are not
-    written, which saves their time. Raises TypingError when weights, inputs or targets are not contiguous float32.
+    inputs (blocks, inputs, BLOCK, GROUP) and targets (blocks, outputs, BLOCK, GROUP) float32 from
+    `genomes.in_blocks`; pairs is the number of true pairs, at least one; errors and squares (population,) float64.
+    Squares of size 0 are not written, which saves their time. Raises TypingError when weights, inputs or targets are
+    not contiguous float32.
     """
     blocks, last, outputs, slots = inputs.shape[0], sizes.size - 1, targets.shape[1], sizes.sum()
-    rows, firsts, ends = np.empty(slots, np.int64), np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
-    firsts[1:], ends[0] = np.cumsum(sizes[:-1]), sizes[0]
-    plan, first_output = _Plan(rows, np.arange(slots), firsts, ends), firsts[last]
-    memory = np.empty(slots * BLOCK + LINE // 4, np.float32)
+    columns, rows = np.zeros((2, sizes.size, GROUP, sizes.max() + ROW), np.int32)
+    own = np.zeros((sizes.size, GROUP), np.int64)
+    counts, starts, firsts = sizes.copy(), np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
+    firsts[1:], own[0], own[last] = np.cumsum(sizes[:-1]), sizes[0], sizes[last]
+    for genome in range(GROUP):
+        columns[0, genome, : sizes[0]], columns[last, genome, :outputs] = np.arange(sizes[0]), np.arange(outputs)
+        rows[last, genome, :outputs] = np.arange(outputs) * (sizes[last - 1] + 1)
+    memory = np.empty((slots * BLOCK + weights.shape[1] + ROW) * GROUP + 2 * LINE // 4, np.float32)
     start = -(memory.ctypes.data // 4) % (LINE // 4)
-    work = memory[start : start + slots * BLOCK].reshape(1, slots, BLOCK)
-    genomes = weights.reshape(-1)
-    for i in range(weights.shape[0]):
-        _find_expressed(promoters, i, sizes, i * weights.shape[1], plan)
-        total = 0.0
+    end = start + slots * BLOCK * GROUP
+    work = memory[start:end].reshape(1, slots, BLOCK, GROUP)
+    packed = memory[end + -(end - start) % (LINE // 4) :]
+    plan = _Plan(columns, own, counts, starts, firsts, packed)
+    genomes, bases = weights.reshape(-1), np.empty(GROUP, np.int64)
+    sums, squared, population = np.empty(LANES, np.float32), np.empty(GROUP, np.float32), weights.shape[0]
+    for first in range(0, population, GROUP):
+        for genome in range(GROUP):
+            bases[genome] = min(first + genome, population - 1) * weights.shape[1]
+        _find_expressed(promoters, sizes, first, columns, rows, own, counts)
+        _pack(genomes, sizes, bases, columns, rows, own, counts, starts, packed)
+        sums[:] = 0
         for block in range(blocks):
             left = pairs - block * BLOCK
             for output in range(outputs):
-                bias = genomes[rows[first_output + output] + sizes[last - 1]]
-                _set_row(work, first_output + output, bias, targets, block, output)
+                _set_row(plan, last, output, targets, block, work)
             for layer in range(1, last):
-                _hidden_layer(genomes, plan, layer, inputs, work, block, min(-(-left // LANES), VECTORS))
+                vectors = min(-(-left * GROUP // LANES), VECTORS)
+                _hidden_layer(plan, layer, last, inputs, work, block, vectors)
             for output in range(outputs):
-                total += _sum_of_squares(work, first_output + output, left)
-        errors[i] = total / (pairs * outputs)
-        if i < squares.size:
-            squares[i] = _squared_weights(genomes, plan)
+                _add_squares(work, firsts[last] + output, left, sums)
+        if squares.size > 0:
+            squared[:] = 0
+            for layer in range(1, sizes.size):
+                _squared_weights(plan, layer, squared)
+        for genome in range(min(GROUP, population - first)):
+            total = 0.0
+            for lane in range(genome, LANES, GROUP):
+                total += sums[lane]
+            errors[first + genome] = total / (pairs * outputs)
+            if squares.size > 0:
+                squares[first + genome] = squared[genome]
