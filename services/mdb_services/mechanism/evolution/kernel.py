@@ -447,13 +447,33 @@ def _squared_weights(typingctx: Any, plan: Any, layer: Any, sums: Any) -> Any:  
 
 
 @compiled
-def _find_expressed(promoters: Any, sizes: Any, first: int, columns: Any, rows: Any, own: Any, counts: Any) -> None:
-    """Write which units are expressed by the group of individuals that begins with the first; see `_Plan`."""
+def _by_size(promoters: Any) -> Any:
+    """Return the individuals in the order of how many units they express: a group should have equals."""
+    population, units = promoters.shape
+    sizes, starts = np.empty(population, np.int64), np.zeros(units + 2, np.int64)
+    for individual in range(population):
+        size = 0
+        for unit in range(units):
+            size += promoters[individual, unit]
+        sizes[individual] = size
+        starts[size + 1] += 1
+    for size in range(units):
+        starts[size + 1] += starts[size]
+    order = np.empty(population, np.int64)
+    for individual in range(population):
+        order[starts[sizes[individual]]] = individual
+        starts[sizes[individual]] += 1
+    return order
+
+
+@compiled
+def _find_expressed(promoters: Any, sizes: Any, group: Any, columns: Any, rows: Any, own: Any, counts: Any) -> None:
+    """Write which units are expressed by a group of individuals; see `_Plan`."""
     room, last = columns.shape[2], sizes.size - 1
     for layer in range(1, last):
         counts[layer] = 0
     for genome in range(GROUP):
-        gene = min(first + genome, promoters.shape[0] - 1) * promoters.shape[1]
+        gene = group[genome] * promoters.shape[1]
         for layer in range(1, last):
             place, count = (layer * GROUP + genome) * room, 0
             for unit in range(0, sizes[layer], ROW):
@@ -519,12 +539,14 @@ def population_errors(
     work = memory[start:end].reshape(1, slots, BLOCK, GROUP)
     packed = memory[end + -(end - start) % (LINE // 4) :]
     plan = _Plan(columns, own, counts, starts, firsts, packed)
-    genomes, bases = weights.reshape(-1), np.empty(GROUP, np.int64)
+    genomes, order = weights.reshape(-1), _by_size(promoters)
+    group, bases = np.empty((2, GROUP), np.int64)
     sums, squared, population = np.empty(LANES, np.float32), np.empty(GROUP, np.float32), weights.shape[0]
     for first in range(0, population, GROUP):
         for genome in range(GROUP):
-            bases[genome] = min(first + genome, population - 1) * weights.shape[1]
-        _find_expressed(promoters, sizes, first, columns, rows, own, counts)
+            group[genome] = order[min(first + genome, population - 1)]
+            bases[genome] = group[genome] * weights.shape[1]
+        _find_expressed(promoters, sizes, group, columns, rows, own, counts)
         _pack(genomes, sizes, bases, columns, rows, own, counts, starts, packed)
         sums[:] = 0
         for block in range(blocks):
@@ -544,6 +566,6 @@ def population_errors(
             total = 0.0
             for lane in range(genome, LANES, GROUP):
                 total += sums[lane]
-            errors[first + genome] = total / (pairs * outputs)
+            errors[group[genome]] = total / (pairs * outputs)
             if squares.size > 0:
-                squares[first + genome] = squared[genome]
+                squares[group[genome]] = squared[genome]
