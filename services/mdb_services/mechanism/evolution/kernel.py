@@ -372,41 +372,55 @@ def _note_expressed(
     return types.int64(promoters, word, word, word, word, columns, rows, word), generate
 
 
+class _Packing:
+    """Where the weights of a layer are, and where they go; see `_Plan`."""
+
+    def __init__(self, context: Any, builder: Any, kinds: Any, arguments: Any) -> None:
+        weights, packed, bases, self.place, self.layer, rows = arguments
+        self.weights, self.packed = (Array(context, builder, kinds[k], a) for k, a in ((0, weights), (1, packed)))
+        first = _array(context, builder, kinds[2], bases)[0]
+        self.bases = [builder.load(_at(builder, first, genome)) for genome in range(GROUP)]
+        self.rows = self.table(context, builder, kinds[5], rows)
+
+    def table(self, context: Any, builder: Any, kind: Any, table: Any, *, before: bool = False) -> list[Any]:
+        """Return where each genome's numbers of units begin, of the layer or of the one before it."""
+        pointer, shape = _array(context, builder, kind, table)
+        layer = builder.sub(self.layer, _WORD(int(before)))
+        genomes = [builder.add(builder.mul(layer, _WORD(GROUP)), _WORD(genome)) for genome in range(GROUP)]
+        return [_at(builder, pointer, builder.mul(genome, shape[2])) for genome in genomes]
+
+    def starts(self, builder: Any, unit: Any) -> list[Any]:
+        """Return where each genome's weights of an expressed unit begin."""
+        rows = [builder.zext(builder.load(_at(builder, table, unit)), _WORD) for table in self.rows]
+        return [builder.add(base, row) for base, row in zip(self.bases, rows, strict=True)]
+
+
 @emitted
 def _pack_rows(
     typingctx: Any,  # noqa: ARG001
     weights: Any,
+    packed: Any,
     bases: Any,
-    rows: Any,
+    place: Any,
     layer: Any,
+    rows: Any,
     units: Any,
     width: Any,
-    packed: Any,
-    place: Any,
 ) -> Any:
-    """Pack all weights of the first expressed units of a layer; see `_Plan`. bases: as `_pack` has them."""
+    """Pack all weights of the first expressed units of a layer; bases: as `_pack` has them."""
     _check(weights=weights, packed=packed)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kinds, (weights, bases, rows, layer, units, width, packed, place) = signature.args, arguments
-        weights, packed = (Array(context, builder, kinds[k], array) for k, array in ((0, weights), (6, packed)))
-        bases, _ = _array(context, builder, kinds[1], bases)
-        rows, shape = _array(context, builder, kinds[2], rows)
-        genomes = [builder.add(builder.mul(layer, _WORD(GROUP)), _WORD(genome)) for genome in range(GROUP)]
-        tables = [_at(builder, rows, builder.mul(genome, shape[2])) for genome in genomes]
-        bases = [builder.load(_at(builder, bases, genome)) for genome in range(GROUP)]
+        parts, (units, width) = _Packing(context, builder, signature.args, arguments[:6]), arguments[6:]
 
         def emit(unit: Any, part: Any) -> None:
             left, at = builder.sub(width, part), builder.add(builder.mul(unit, width), part)
-            at = builder.add(place, builder.mul(at, _WORD(GROUP)))
-            mask, row = first_lanes(builder, left), []
-            for base, table in zip(bases, tables, strict=True):
-                start = builder.zext(builder.load(_at(builder, table, unit)), _WORD)
-                start = builder.add(builder.add(base, start), part)
-                row.append(weights.load(start, FLOATS, mask, every(FLOATS, 0.0)))
+            at = builder.add(parts.place, builder.mul(at, _WORD(GROUP)))
+            starts, mask = (builder.add(start, part) for start in parts.starts(builder, unit)), first_lanes(builder, left)
+            row = [parts.weights.load(start, FLOATS, mask, every(FLOATS, 0.0)) for start in starts]
             for step, mixed in enumerate(interleaved(builder, row)):
                 with builder.if_then(builder.icmp_signed(">", left, _WORD(step * ROW // GROUP))):
-                    packed.store(mixed, builder.add(at, _WORD(step * ROW)))
+                    parts.packed.store(mixed, builder.add(at, _WORD(step * ROW)))
 
         with builder.if_else(builder.icmp_signed(">", width, _WORD(ROW))) as (long, short):
             with long, _loop(builder, _WORD(0), units) as (unit, _), _loop(builder, _WORD(0), width, ROW) as (part, _):
@@ -416,7 +430,55 @@ def _pack_rows(
         return context.get_dummy_value()
 
     word = types.int64
-    return types.void(weights, bases, rows, word, word, word, packed, word), generate
+    return types.void(weights, packed, bases, word, word, rows, word, word), generate
+
+
+@emitted
+def _pack_columns(
+    typingctx: Any,  # noqa: ARG001
+    weights: Any,
+    packed: Any,
+    bases: Any,
+    place: Any,
+    layer: Any,
+    rows: Any,
+    units: Any,
+    columns: Any,
+    own: Any,
+    senders: Any,
+    bias: Any,
+) -> Any:
+    """The same, but only the weights of expressed senders and the bias, whose column is given."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds, (units, columns, own, senders, bias) = signature.args, arguments[6:]
+        parts = _Packing(context, builder, kinds, arguments[:6])
+        columns = parts.table(context, builder, kinds[7], columns, before=True)
+        own, _ = _array(context, builder, kinds[8], own)
+        own = _at(builder, own, builder.mul(builder.sub(parts.layer, _WORD(1)), _WORD(GROUP)))
+        own = builder.load(builder.bitcast(own, ir.VectorType(_WORD, GROUP).as_pointer()), align=8)
+
+        def pack(starts: Sequence[Any], at: Any, mask: Any = None) -> None:
+            few = ir.Constant(_FEW, ir.Undefined)
+            for genome, start in enumerate(starts):
+                weight = builder.load(_at(builder, parts.weights.data, start))
+                few = builder.insert_element(few, weight, _INDEX(genome))
+            if mask is not None:
+                few = builder.select(mask, few, ir.Constant(_FEW, [0.0] * GROUP))
+            place = _at(builder, parts.packed.data, builder.add(parts.place, builder.mul(at, _WORD(GROUP))))
+            builder.store(few, builder.bitcast(place, _FEW.as_pointer()), align=4 * GROUP)
+
+        with _loop(builder, _WORD(0), units) as (unit, _):
+            starts, at = parts.starts(builder, unit), builder.mul(unit, builder.add(senders, _WORD(1)))
+            with _loop(builder, _WORD(0), senders) as (sender, _):
+                steps = (builder.zext(builder.load(_at(builder, table, sender)), _WORD) for table in columns)
+                places = [builder.add(start, step) for start, step in zip(starts, steps, strict=True)]
+                pack(places, builder.add(at, sender), builder.icmp_signed("<", spread(builder, sender, GROUP), own))
+            pack([builder.add(start, bias) for start in starts], builder.add(at, senders))
+        return context.get_dummy_value()
+
+    word = types.int64
+    return types.void(weights, packed, bases, word, word, rows, word, columns, own, word, word), generate
 
 
 @emitted
@@ -493,21 +555,14 @@ def _pack(
         senders, before, whole = counts[layer - 1], sizes[layer - 1], True
         for genome in range(GROUP):
             whole &= own[layer - 1, genome] == before
-        starts[layer] = place
+        starts[layer], units = place, counts[layer]
         if whole:
-            _pack_rows(weights, bases, rows, layer, counts[layer], before + 1, packed, place)
+            _pack_rows(weights, packed, bases, place, layer, rows, units, before + 1)
         else:
-            for unit in range(counts[layer]):
-                at = place + unit * (senders + 1) * GROUP
-                for genome in range(GROUP):
-                    row, its_own = bases[genome] + rows[layer, genome, unit], own[layer - 1, genome]
-                    for sender in range(senders):
-                        weight = weights[row + columns[layer - 1, genome, sender]]
-                        packed[at + sender * GROUP + genome] = weight if sender < its_own else np.float32(0)
-                    packed[at + senders * GROUP + genome] = weights[row + before]
-        place += counts[layer] * (senders + 1) * GROUP
+            _pack_columns(weights, packed, bases, place, layer, rows, units, columns, own, senders, before)
+        place += units * (senders + 1) * GROUP
         for genome in range(GROUP):
-            if own[layer, genome] < counts[layer]:
+            if own[layer, genome] < units:
                 for at in range(starts[layer] + own[layer, genome] * (senders + 1) * GROUP + genome, place, GROUP):
                     packed[at] = 0
             bases[genome] += sizes[layer] * (before + 1)
@@ -548,7 +603,8 @@ def population_errors(
             bases[genome] = group[genome] * weights.shape[1]
         _find_expressed(promoters, sizes, group, columns, rows, own, counts)
         _pack(genomes, sizes, bases, columns, rows, own, counts, starts, packed)
-        sums[:] = 0
+        for lane in range(LANES):
+            sums[lane] = 0
         for block in range(blocks):
             left = pairs - block * BLOCK
             for output in range(outputs):
@@ -559,7 +615,8 @@ def population_errors(
             for output in range(outputs):
                 _add_squares(work, firsts[last] + output, left, sums)
         if squares.size > 0:
-            squared[:] = 0
+            for genome in range(GROUP):
+                squared[genome] = 0
             for layer in range(1, sizes.size):
                 _squared_weights(plan, layer, squared)
         for genome in range(min(GROUP, population - first)):
