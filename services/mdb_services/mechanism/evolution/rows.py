@@ -14,7 +14,7 @@ import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 
-from mdb_services.mechanism.evolution.compiling import compiled, emitted
+from mdb_services.mechanism.evolution.compiling import compiled, emitted, inlined
 from mdb_services.mechanism.evolution.vectors import BITS, BYTES, FLOATS, INDICES, ROW, Array, every, first_lanes, spread
 
 GOLDEN, MIX = 0x9E3779B97F4A7C15, ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
@@ -211,7 +211,7 @@ def cross_units(
         _cross_row(promoters, mine + unit, its + unit, left, start, unit, threshold, genes, shares, chosen)
 
 
-@compiled
+@inlined
 def write_weights(
     weights: Any,
     first: int,
