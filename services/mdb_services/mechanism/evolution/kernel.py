@@ -586,8 +586,8 @@ def population_errors(
     counts, starts, firsts = sizes.copy(), np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
     firsts[1:], own[0], own[last] = np.cumsum(sizes[:-1]), sizes[0], sizes[last]
     for genome in range(GROUP):
-        columns[0, genome, : sizes[0]], columns[last, genome, :outputs] = np.arange(sizes[0]), np.arange(outputs)
-        rows[last, genome, :outputs] = np.arange(outputs) * (sizes[last - 1] + 1)
+        for output in range(outputs):
+            rows[last, genome, output] = output * (sizes[last - 1] + 1)
     memory = np.empty((slots * BLOCK + weights.shape[1] + ROW) * GROUP + 2 * LINE // 4, np.float32)
     start = -(memory.ctypes.data // 4) % (LINE // 4)
     end = start + slots * BLOCK * GROUP
