@@ -10,11 +10,11 @@ from numba.core.errors import TypingError
 from mdb_services.mechanism.evolution.genomes import in_blocks
 from mdb_services.mechanism.evolution.kernel import (
     BLOCK,
-    GROUP,
     LANES,
     TANH_ERROR,
     population_errors,
 )
+from mdb_services.mechanism.evolution.packing import GROUP
 from mdb_services.mechanism.networks.network import Shape
 from tests.mechanism.reference import reference_errors
 

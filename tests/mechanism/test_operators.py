@@ -14,7 +14,8 @@ from mdb_services.mechanism.evolution.genomes import in_blocks
 from mdb_services.mechanism.evolution.kernel import population_errors
 from mdb_services.mechanism.evolution.operators import Settings
 from mdb_services.mechanism.evolution.parts import PUT_UP, is_done, is_open, new_board, put_up, report, take
-from mdb_services.mechanism.evolution.rows import ROW, WEIGHTS, cross_units, write_weights
+from mdb_services.mechanism.evolution.rows import WEIGHTS, cross_units, write_weights
+from mdb_services.mechanism.evolution.vectors import ROW
 from mdb_services.mechanism.learners.pbga import PromoterGA
 from mdb_services.mechanism.networks.network import Network, Shape, split_layers
 from mdb_services.mechanism.settings import EvolutionConfig

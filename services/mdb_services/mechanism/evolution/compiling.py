@@ -73,8 +73,9 @@ def inlined(function: _Function) -> _Function:
     return _compiled(function, forceinline=True)
 
 
-def _compiled(function: _Function, **options: bool) -> _Function:
-    dispatcher: Any = njit(nogil=True, fastmath=_FAST, error_model="numpy", **options)(function)
+def _compiled(function: _Function, *, forceinline: bool = False) -> _Function:
+    compiling: Any = njit(nogil=True, fastmath=_FAST, error_model="numpy", forceinline=forceinline)
+    dispatcher = compiling(function)
     try:
         dispatcher._cache = _OptionalCache(function)  # type: ignore[no-untyped-call] # as by cache=True
     except RuntimeError:  # no folder of the compiler's can be written: it compiles in each process

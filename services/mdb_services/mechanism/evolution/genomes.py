@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.evolution.kernel import BLOCK, GROUP, LINE, population_errors
+from mdb_services.mechanism.evolution.kernel import BLOCK, LINE, population_errors
+from mdb_services.mechanism.evolution.packing import GROUP
 from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
 
 

@@ -23,7 +23,6 @@ from mdb_services.mechanism.evolution.compiling import compiled
 from mdb_services.mechanism.evolution.rows import (
     GOLDEN,
     MIX,
-    ROW,
     SUM_MEAN,
     SUM_SCALE,
     UNITS,
@@ -31,6 +30,7 @@ from mdb_services.mechanism.evolution.rows import (
     cross_units,
     write_weights,
 )
+from mdb_services.mechanism.evolution.vectors import ROW
 
 _GOLDEN, (_MIX1, _MIX2) = np.uint64(GOLDEN), (np.uint64(factor) for _, factor in MIX)
 _1, _11, _16, _27, _30, _31, _32 = (np.uint64(n) for n in (1, 11, 16, 27, 30, 31, 32))

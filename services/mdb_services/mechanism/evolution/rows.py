@@ -15,7 +15,17 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 
 from mdb_services.mechanism.evolution.compiling import compiled, emitted, inlined
-from mdb_services.mechanism.evolution.vectors import BITS, BYTES, FLOATS, INDICES, ROW, Array, every, first_lanes, spread
+from mdb_services.mechanism.evolution.vectors import (
+    BITS,
+    BYTES,
+    FLOATS,
+    INDICES,
+    ROW,
+    Array,
+    every,
+    first_lanes,
+    spread,
+)
 
 GOLDEN, MIX = 0x9E3779B97F4A7C15, ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
 """Of splitmix64."""

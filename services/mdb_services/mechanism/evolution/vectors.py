@@ -9,12 +9,19 @@ from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
+from numba import config, types
 from numba.core import cgutils
+from numba.core.codegen import get_host_cpu_features
+from numba.core.errors import TypingError
 
 ROW = 16
 """Lanes of a row: as many numbers as a register of AVX-512 has."""
 
-INDEX = ir.IntType(32)
+_FEATURES = get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES  # type: ignore[attr-defined]
+WIDE = "+avx512f" in _FEATURES
+"""Whether the processor has AVX-512."""
+
+INDEX, WORD = ir.IntType(32), ir.IntType(64)
 BITS, BYTES = ir.VectorType(ir.IntType(1), ROW), ir.VectorType(ir.IntType(8), ROW)
 INDICES, FLOATS = ir.VectorType(INDEX, ROW), ir.VectorType(ir.FloatType(), ROW)
 NUMBERS = ir.Constant(INDICES, list(range(ROW)))
@@ -24,6 +31,23 @@ NUMBERS = ir.Constant(INDICES, list(range(ROW)))
 def every(kind: Any, number: float) -> Any:
     """Return a row of a constant."""
     return ir.Constant(kind, [number] * ROW)
+
+
+def moved(builder: Any, pointer: Any, *steps: Any) -> Any:
+    """Return the pointer moved on by steps, numbers or values."""
+    for step in steps:
+        pointer = builder.gep(pointer, [WORD(step) if isinstance(step, int) else step])
+    return pointer
+
+
+def loop(builder: Any, first: Any, end: Any, step: int = 1) -> Any:
+    """Return a context whose instructions are repeated for each index, signed, which it gives."""
+    return cgutils.for_range_slice(builder, first, end, WORD(step), WORD)
+
+
+def multiply_add(builder: Any, left: Any, right: Any, summand: Any) -> Any:
+    """Return left times right plus summand, in one instruction where there is one."""
+    return builder.fadd(builder.fmul(left, right, flags=("contract",)), summand, flags=("contract",))
 
 
 def spread(builder: Any, numbers: Any, lanes: int = ROW) -> Any:
@@ -59,6 +83,19 @@ def compressed(builder: Any, row: Any, chosen: Any) -> Any:
     name = f"llvm.experimental.vector.compress.v{ROW}i32"
     compress = cgutils.get_or_insert_function(builder.module, kind, name)
     return builder.call(compress, [row, chosen, every(INDICES, 0)])
+
+
+def memory_of(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, list[Any]]:
+    """Return an array's pointer and shape."""
+    array = context.make_array(kind)(context, builder, value)
+    return array.data, cgutils.unpack_tuple(builder, array.shape)
+
+
+def check_floats(**arrays: Any) -> None:
+    """Raise TypingError unless the types of arrays are contiguous float32."""
+    for name, kind in arrays.items():
+        if kind.dtype != types.float32 or kind.layout != "C":
+            raise TypingError(f"{name}: {kind}; expected float32, C-contiguous: np.ascontiguousarray(x, np.float32)")
 
 
 class Array:
