@@ -2,9 +2,9 @@
 
 Genomes are flat float32 rows, laid out as `networks.network.split_layers` views them; promoters are one byte a hidden
 unit. `GROUP` genomes are taken together: first their expressed units are packed (`packing.py`), so that the weights
-at the same place in each lie side by side. A vector register then holds a few pairs for each of them, and a memory of
-few pairs fills it, too. The pairs come transposed in blocks (`genomes.in_blocks`), each number as often as a group has
-genomes. A unit that is not expressed costs nothing, unless another genome of the group expresses more.
+at the same place in each lie side by side. A vector register then holds a few pairs for each of them, and a memory
+of few pairs fills it, too. The pairs come transposed in blocks (`genomes.in_blocks`), each number as often as a group
+has genomes. A unit that is not expressed costs nothing, unless another genome of the group expresses more.
 
 The inner loops are written as LLVM instructions, since Python cannot say what makes them fast: the sums of several
 units for several vectors of pairs stay in registers from bias to tanh, and vectors are as wide as the processor has.
