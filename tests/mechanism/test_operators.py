@@ -125,6 +125,13 @@ def test_without_selection_the_expected_number_of_expressed_units_stays(shape: S
     assert abs(after.mean() - before.mean()) < 4 * error
 
 
+def test_the_exponential_is_right_to_a_few_roundings() -> None:
+    for x in np.linspace(-87, 87, 20_001, dtype=np.float32):
+        assert operators.exponential(x) == pytest.approx(np.exp(float(x)), rel=5e-7)
+    assert operators.exponential(np.float32(0)) == 1
+    assert np.isfinite(operators.exponential(np.float32(1e9)))
+
+
 def child_of(
     shape: Shape,
     weights: np.ndarray,
