@@ -14,23 +14,25 @@ from mdb_services.mechanism.evolution.kernel import (
     TANH_ERROR,
     population_errors,
 )
+from mdb_services.mechanism.evolution.packing import GROUP
 from mdb_services.mechanism.networks.network import Shape
 from tests.mechanism.reference import reference_errors
 
 shapes = st.builds(
     Shape, st.integers(1, 9), st.lists(st.integers(1, 9), min_size=1, max_size=3).map(tuple), st.integers(1, 4)
 )
+PAIRS = LANES // GROUP
 around_blocks = [
-    LANES - 1,
-    LANES,
-    LANES + 1,
-    2 * LANES,
-    2 * LANES + 1,
+    PAIRS - 1,
+    PAIRS,
+    PAIRS + 1,
+    2 * PAIRS,
+    2 * PAIRS + 1,
     BLOCK - 1,
     BLOCK,
     BLOCK + 1,
     3 * BLOCK,
-    3 * BLOCK + LANES + 1,
+    3 * BLOCK + PAIRS + 1,
 ]
 ROUGH = 100 * TANH_ERROR
 """What the errors of tanh may come to in an output, after up to three layers: weights are added up."""
@@ -181,8 +183,9 @@ def test_tanh_keeps_its_error_bound() -> None:
 def test_blocks_hold_columns_and_are_filled_up_with_zeros(pairs: int, blocks: int) -> None:
     rows = np.random.default_rng(0).random((pairs, 3), dtype=np.float32)
     packed = in_blocks(rows)
-    assert packed.shape == (blocks, 3, BLOCK)
-    columns = packed.transpose(0, 2, 1).reshape(-1, 3)
+    assert packed.shape == (blocks, 3, BLOCK, GROUP)
+    assert (packed == packed[..., :1]).all()
+    columns = packed[..., 0].transpose(0, 2, 1).reshape(-1, 3)
     assert np.array_equal(columns[:pairs], rows)
     assert not columns[pairs:].any()
     assert packed.ctypes.data % 64 == 0

@@ -14,7 +14,8 @@ from mdb_services.mechanism.evolution.genomes import in_blocks
 from mdb_services.mechanism.evolution.kernel import population_errors
 from mdb_services.mechanism.evolution.operators import Settings
 from mdb_services.mechanism.evolution.parts import PUT_UP, is_done, is_open, new_board, put_up, report, take
-from mdb_services.mechanism.evolution.rows import ROW, WEIGHTS, cross_units, write_weights
+from mdb_services.mechanism.evolution.rows import WEIGHTS, cross_units, write_weights
+from mdb_services.mechanism.evolution.vectors import ROW
 from mdb_services.mechanism.learners.pbga import PromoterGA
 from mdb_services.mechanism.networks.network import Network, Shape, split_layers
 from mdb_services.mechanism.settings import EvolutionConfig
@@ -123,6 +124,13 @@ def test_without_selection_the_expected_number_of_expressed_units_stays(shape: S
     # The parents are a sample of all, and the operators add some variance to theirs: at most their own again.
     error = np.sqrt(2 * before.var() / config.population)
     assert abs(after.mean() - before.mean()) < 4 * error
+
+
+def test_the_exponential_is_right_to_a_few_roundings_of_its_argument() -> None:
+    for x in np.linspace(-87, 87, 20_001, dtype=np.float32):
+        assert operators.exponential(x) == pytest.approx(np.exp(float(x)), rel=1e-7 * (4 + abs(float(x))))
+    assert operators.exponential(np.float32(0)) == 1
+    assert np.isfinite(operators.exponential(np.float32(1e9)))
 
 
 def child_of(

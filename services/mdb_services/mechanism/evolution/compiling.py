@@ -84,7 +84,17 @@ def compiled(function: _Function) -> _Function:
     tuple of arrays, costs locked instructions to count references: inner loops take whole arrays and indices.
     The disk keeps code under a function's own file, the types of its arguments, and `VERSION`.
     """
-    dispatcher: Any = njit(nogil=True, fastmath=_FAST, error_model="numpy")(function)
+    return _compiled(function)
+
+
+def inlined(function: _Function) -> _Function:
+    """Compile the same, and anew into each caller: in a call, each array takes seven words."""
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: _Function, *, forceinline: bool = False) -> _Function:
+    compiling: Any = njit(nogil=True, fastmath=_FAST, error_model="numpy", forceinline=forceinline)
+    dispatcher = compiling(function)
     try:
         dispatcher._cache = _OptionalCache(function)  # type: ignore[no-untyped-call] # as by cache=True
     except RuntimeError:  # no folder of the compiler's can be written: it compiles in each process

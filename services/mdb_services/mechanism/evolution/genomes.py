@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_services.mechanism.evolution.kernel import BLOCK, LINE, population_errors
+from mdb_services.mechanism.evolution.packing import GROUP
 from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
 
 
@@ -55,13 +56,16 @@ class Measure:
 
 
 def in_blocks(rows: NDArray[Any]) -> Floats:
-    """Return rows (n, columns) as float32 (blocks, columns, BLOCK), the last block filled up with zeros."""
+    """Return rows (n, columns) as float32 (blocks, columns, BLOCK, GROUP), the last block filled up with zeros.
+
+    Each number is there `GROUP` times, side by side.
+    """
     count, columns = rows.shape
     blocks = -(-count // BLOCK)
-    memory = np.zeros(blocks * columns * BLOCK * 4 + LINE, dtype=np.uint8)
+    filled = np.zeros((blocks * BLOCK, columns), dtype=np.float32)
+    filled[:count] = rows
+    memory = np.empty(filled.size * GROUP * 4 + LINE, dtype=np.uint8)
     start = -memory.ctypes.data % LINE
-    filled = memory[start:][: memory.size - LINE].view(np.float32).reshape(blocks, columns, BLOCK)
-    for block in range(blocks):
-        part = rows[block * BLOCK : (block + 1) * BLOCK]
-        filled[block, :, : len(part)] = part.T
-    return filled
+    packed = memory[start:][: memory.size - LINE].view(np.float32).reshape(blocks, columns, BLOCK, GROUP)
+    packed[:] = filled.reshape(blocks, BLOCK, columns).transpose(0, 2, 1)[..., np.newaxis]
+    return packed

@@ -13,12 +13,19 @@ from typing import Any
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
-from numba.core import cgutils
 
-from mdb_services.mechanism.evolution.compiling import compiled, emitted
-
-ROW = 16
-"""Lanes of a row: as many numbers as a register of AVX-512 has."""
+from mdb_services.mechanism.evolution.compiling import compiled, emitted, inlined
+from mdb_services.mechanism.evolution.vectors import (
+    BITS,
+    BYTES,
+    FLOATS,
+    INDICES,
+    ROW,
+    Array,
+    every,
+    first_lanes,
+    spread,
+)
 
 GOLDEN, MIX = 0x9E3779B97F4A7C15, ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
 """Of splitmix64."""
@@ -31,77 +38,28 @@ _word: Any = np.uint64
 _0, _1, _ROW, _WEIGHTS, _SUM_SCALE = _word(0), _word(1), _word(ROW), _word(WEIGHTS), np.float32(SUM_SCALE)
 
 _FUSED = ("contract",)
-_BYTE, _INDEX = ir.IntType(8), ir.IntType(32)
-_BITS, _BYTES = ir.VectorType(ir.IntType(1), ROW), ir.VectorType(_BYTE, ROW)
-_INDICES, _WORDS = ir.VectorType(_INDEX, ROW), ir.VectorType(ir.IntType(64), ROW)
-_FLOATS = ir.VectorType(ir.FloatType(), ROW)
-_LANES = ir.Constant(_INDICES, list(range(ROW)))
+_WORDS = ir.VectorType(ir.IntType(64), ROW)
 
 
 # ---- LLVM instructions: these functions run when their callers are compiled, and emit them ----
-
-
-def _all(kind: Any, number: float) -> Any:
-    """Return a vector of a constant."""
-    return ir.Constant(kind, [number] * ROW)
-
-
-def _spread(builder: Any, number: Any) -> Any:
-    """Return a vector of one number."""
-    none = ir.Constant(ir.VectorType(number.type, ROW), ir.Undefined)
-    return builder.shuffle_vector(builder.insert_element(none, number, _INDEX(0)), none, _all(_INDICES, 0))
-
-
-def _before(builder: Any, count: Any) -> Any:
-    """Return which lanes are below a count."""
-    return builder.icmp_unsigned("<", _LANES, _spread(builder, builder.trunc(count, _INDEX)))
-
-
-class _Array:
-    """An array's memory, by flat indices."""
-
-    def __init__(self, context: Any, builder: Any, kind: Any, value: Any) -> None:
-        self.builder, self.data = builder, context.make_array(kind)(context, builder, value).data
-
-    def load(self, index: Any, kind: Any, mask: Any = None, instead: Any = None) -> Any:
-        """Return the row at an index, under a mask or where there is room."""
-        if mask is None:
-            return self.builder.load(self._place(index, kind), align=1)
-        return self._masked("load", kind, self._place(index, kind), _INDEX(1), mask, instead)
-
-    def store(self, row: Any, index: Any, mask: Any = None) -> None:
-        """Write a row at an index, under a mask or where there is room."""
-        if mask is None:
-            self.builder.store(row, self._place(index, row.type), align=1)
-        else:
-            self._masked("store", ir.VoidType(), row, self._place(index, row.type), _INDEX(1), mask)
-
-    def _place(self, index: Any, kind: Any) -> Any:
-        return self.builder.bitcast(self.builder.gep(self.data, [index]), kind.as_pointer())
-
-    def _masked(self, what: str, result: Any, *arguments: Any) -> Any:
-        kind = ir.FunctionType(result, [argument.type for argument in arguments])
-        row = "f32" if _FLOATS in (result, arguments[0].type) else "i8"
-        name = f"llvm.masked.{what}.v{ROW}{row}.p0"
-        return self.builder.call(cgutils.get_or_insert_function(self.builder.module, kind, name), arguments)
 
 
 def _draw(builder: Any, start: Any, index: Any) -> Any:
     """Return the 64 random bits of each lane: numbers of a stream, from an index on."""
     first = builder.add(start, builder.mul(index, index.type(GOLDEN)))
     steps = ir.Constant(_WORDS, [GOLDEN * (lane + 1) % 2**64 for lane in range(ROW)])
-    z = builder.add(_spread(builder, first), steps)
+    z = builder.add(spread(builder, first), steps)
     for shift, factor in MIX:
-        z = builder.mul(builder.xor(z, builder.lshr(z, _all(_WORDS, shift))), _all(_WORDS, factor))
-    return builder.xor(z, builder.lshr(z, _all(_WORDS, 31)))
+        z = builder.mul(builder.xor(z, builder.lshr(z, every(_WORDS, shift))), every(_WORDS, factor))
+    return builder.xor(z, builder.lshr(z, every(_WORDS, 31)))
 
 
 def _sum_of_four(builder: Any, bits: Any) -> Any:
     """Return sums of four uniform integers, less their mean: nearly normal, never beyond 3.47 deviations."""
-    halves = _all(_WORDS, 0x0000FFFF0000FFFF)
-    two = builder.add(builder.and_(bits, halves), builder.and_(builder.lshr(bits, _all(_WORDS, 16)), halves))
-    low, high = builder.trunc(two, _INDICES), builder.trunc(builder.lshr(two, _all(_WORDS, 32)), _INDICES)
-    return builder.sitofp(builder.sub(builder.add(low, high), _all(_INDICES, SUM_MEAN)), _FLOATS)
+    halves = every(_WORDS, 0x0000FFFF0000FFFF)
+    two = builder.add(builder.and_(bits, halves), builder.and_(builder.lshr(bits, every(_WORDS, 16)), halves))
+    low, high = builder.trunc(two, INDICES), builder.trunc(builder.lshr(two, every(_WORDS, 32)), INDICES)
+    return builder.sitofp(builder.sub(builder.add(low, high), every(INDICES, SUM_MEAN)), FLOATS)
 
 
 class _Mixing:
@@ -109,14 +67,14 @@ class _Mixing:
 
     def __init__(self, context: Any, builder: Any, kinds: Any, arguments: Any) -> None:
         weights, first, second, shares, senders, carried, own, self.children, self.place, count = arguments
-        weights, shares = (_Array(context, builder, kinds[i], array) for i, array in ((0, weights), (3, shares)))
-        self.children = _Array(context, builder, kinds[7], self.children)
-        self.counts, none = _before(builder, count), _all(_FLOATS, 0.0)
-        mine, its = (weights.load(index, _FLOATS, self.counts, none) for index in (first, second))
-        share = builder.select(_before(builder, carried), shares.load(senders, _FLOATS), _spread(builder, own))
+        weights, shares = (Array(context, builder, kinds[i], array) for i, array in ((0, weights), (3, shares)))
+        self.children = Array(context, builder, kinds[7], self.children)
+        self.counts, none = first_lanes(builder, count), every(FLOATS, 0.0)
+        mine, its = (weights.load(index, FLOATS, self.counts, none) for index in (first, second))
+        share = builder.select(first_lanes(builder, carried), shares.load(senders, FLOATS), spread(builder, own))
         between = builder.fmul(share, builder.fsub(mine, its), flags=_FUSED)
         between = builder.fadd(its, between, flags=_FUSED)
-        one = builder.fcmp_ordered("==", share, _all(_FLOATS, 1.0))
+        one = builder.fcmp_ordered("==", share, every(FLOATS, 1.0))
         self.mixed = builder.select(one, mine, between)
 
 
@@ -141,24 +99,24 @@ def _cross_row(
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kinds, (promoters, first, second, hidden, start, unit, threshold, *spaces) = signature.args, arguments
-        promoters = _Array(context, builder, kinds[0], promoters)
+        promoters = Array(context, builder, kinds[0], promoters)
         genes, shares, chosen = (
-            _Array(context, builder, kind, space) for kind, space in zip(kinds[7:10], spaces, strict=True)
+            Array(context, builder, kind, space) for kind, space in zip(kinds[7:10], spaces, strict=True)
         )
         bits = _draw(builder, start, builder.add(unit, unit.type(UNITS)))
-        promoted, expressed = _before(builder, hidden), _all(_BYTES, 1)
-        one, other = (promoters.load(index, _BYTES, promoted, expressed) for index in (first, second))
+        promoted, expressed = first_lanes(builder, hidden), every(BYTES, 1)
+        one, other = (promoters.load(index, BYTES, promoted, expressed) for index in (first, second))
         alike = builder.icmp_unsigned("==", one, other)
-        coin = builder.and_(builder.trunc(builder.lshr(bits, _all(_WORDS, 32)), _BYTES), expressed)
-        part = builder.sitofp(builder.trunc(builder.lshr(bits, _all(_WORDS, 40)), _INDICES), _FLOATS)
-        part = builder.fmul(part, _all(_FLOATS, 2.0**-24))
-        whole = builder.uitofp(builder.select(alike, coin, one), _FLOATS)
-        both = builder.and_(alike, builder.trunc(one, _BITS))
-        low = builder.and_(bits, _all(_WORDS, 2**32 - 1))
-        mutated = builder.icmp_unsigned("<", low, _spread(builder, threshold))
+        coin = builder.and_(builder.trunc(builder.lshr(bits, every(_WORDS, 32)), BYTES), expressed)
+        part = builder.sitofp(builder.trunc(builder.lshr(bits, every(_WORDS, 40)), INDICES), FLOATS)
+        part = builder.fmul(part, every(FLOATS, 2.0**-24))
+        whole = builder.uitofp(builder.select(alike, coin, one), FLOATS)
+        both = builder.and_(alike, builder.trunc(one, BITS))
+        low = builder.and_(bits, every(_WORDS, 2**32 - 1))
+        mutated = builder.icmp_unsigned("<", low, spread(builder, threshold))
         genes.store(builder.select(alike, one, coin), unit)
         shares.store(builder.select(both, part, whole), unit)
-        chosen.store(builder.zext(mutated, _BYTES), unit)
+        chosen.store(builder.zext(mutated, BYTES), unit)
         return context.get_dummy_value()
 
     word = types.uint64
@@ -218,14 +176,14 @@ def _change_row(
         genes, before, start, index, scale, limit = arguments[10:]
         row = _Mixing(context, builder, kinds, arguments[:10])
         number = _sum_of_four(builder, _draw(builder, start, index))
-        new = builder.fadd(row.mixed, builder.fmul(number, _spread(builder, scale), flags=_FUSED), flags=_FUSED)
-        most, least = _spread(builder, limit), _spread(builder, builder.fneg(limit))
+        new = builder.fadd(row.mixed, builder.fmul(number, spread(builder, scale), flags=_FUSED), flags=_FUSED)
+        most, least = spread(builder, limit), spread(builder, builder.fneg(limit))
         new = builder.select(builder.fcmp_ordered("<", most, new), most, new)
         new = builder.select(builder.fcmp_ordered(">", least, new), least, new)
         silent = builder.icmp_unsigned(
-            "==", _Array(context, builder, kinds[10], genes).load(senders, _BYTES), _all(_BYTES, 0)
+            "==", Array(context, builder, kinds[10], genes).load(senders, BYTES), every(BYTES, 0)
         )
-        silent = builder.and_(silent, _before(builder, before))
+        silent = builder.and_(silent, first_lanes(builder, before))
         row.children.store(builder.select(silent, row.mixed, new), row.place, row.counts)
         return context.get_dummy_value()
 
@@ -263,7 +221,7 @@ def cross_units(
         _cross_row(promoters, mine + unit, its + unit, left, start, unit, threshold, genes, shares, chosen)
 
 
-@compiled
+@inlined
 def write_weights(
     weights: Any,
     first: int,
