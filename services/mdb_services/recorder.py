@@ -24,7 +24,7 @@ from mdb_protocol import as_json, codec, files, keys
 from mdb_protocol.bus import TAPPED, Bus, read, read_as
 from mdb_protocol.errors import DamageError, DecodeError, MdbError
 from mdb_protocol.keys import Key
-from mdb_protocol.messages import Message
+from mdb_protocol.messages import Finished, Message
 from mdb_protocol.waiting import Raw
 from mdb_services import log_records
 from mdb_services.experiment.run_folder import EXPERIMENT_FILE
@@ -37,6 +37,8 @@ PACKAGES = ("multilevel-darwinist-brain", "eclipse-zenoh", "numpy", "numba", "ms
 LOG_PATTERN = "run*.mcap"
 RETRY_S = 1.0
 """How often a disk that takes nothing is tried again."""
+LAST_WORD_S = 0.1
+"""Who ends a finished run may have heard of it before the recorder does."""
 SEGMENTS = 8
 """Parts of a log of which only the newest is kept: the oldest part goes when the newest is full."""
 MAX_CHANNELS = 60_000
@@ -77,6 +79,8 @@ class Recorder:
         self._run, self._clock = run, clock
         self._count = self._bytes = self._lost = 0
         self._unflushed = 0
+        self._finished = False
+        """Whether the last message was that the run is finished."""
         self._file: IO[bytes] | None = None
         self._retry_s = 0.0
         """When to write again after the disk took nothing; 0 while it does."""
@@ -173,6 +177,7 @@ class Recorder:
         known = raw.encoding == codec.encoding_of(type(message))  # a later version may say more
         text, now = as_json.encode(message, None if known else raw.payload), time.time_ns()
         self._unflushed += 1
+        self._finished = isinstance(message, Finished)
         channel = self._channels.of(raw.key, type(message), raw.encoding)
         self._writer.add_message(channel, now, text, now, sequence=self._count)
         self._count += 1
@@ -201,9 +206,12 @@ class Recorder:
         return counts | {"disk_refuses": float(self._retry_s > 0)}
 
     def close(self) -> None:
-        """Write what is still there and finish the file."""
+        """Write what is still there and finish the file. Before the last word has come, it may be on its way yet."""
         while self.step():
             pass
+        until_s = time.monotonic() + LAST_WORD_S
+        while not self._finished and (left_s := until_s - time.monotonic()) > 0 and self.bus.wait(left_s):
+            self.step()
         if self._file is not None:
             self._try(self._end)
 

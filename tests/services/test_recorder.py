@@ -53,6 +53,26 @@ def readable(run: Path) -> list[Recorded]:
         return []
 
 
+def test_the_last_word_is_waited_for_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder_module, "LAST_WORD_S", 10.0)
+    rig = Rig(tmp_path)
+    rig.say(keys.PAIR, pair(1))
+    rig.recorder.step()
+    wait = rig.recorder.bus.wait
+
+    def told_later(timeout_s: float) -> bool:
+        """Others speak when it has nothing to do any more."""
+        if len(said) < 2:
+            said.append(None)
+            rig.say(keys.PAIR, pair(2)) if len(said) == 1 else rig.say(keys.FINISHED, messages.Finished(iterations=3))
+        return wait(timeout_s)
+
+    said: list[None] = []
+    monkeypatch.setattr(rig.recorder.bus, "wait", told_later)
+    rig.stop()
+    assert [path for path, _ in rig.read()] == ["pair", "pair", "finished"]
+
+
 def test_what_was_said_is_read_again_in_order(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     rig.say(keys.PERCEPTION, perception(0))
