@@ -75,8 +75,8 @@ async def gives(template: Template, folder: Path) -> None:
     os.close(writing)
     process = await fork(template, folder / "log", *ROUTER, given=(number,))
     os.close(number)
-    links = {name: os.readlink(f"/proc/{process.pid}/fd/{name}") for name in os.listdir(f"/proc/{process.pid}/fd")}
-    assert links[str(number)] == os.readlink(f"/proc/self/fd/{reading}")
+    pipe, place = os.readlink(f"/proc/self/fd/{reading}"), Path(f"/proc/{process.pid}/fd/{number}")
+    await until(lambda: place.is_symlink() and os.readlink(place) == pipe)  # it is told of before that
     process.send_signal(signal.SIGKILL)
     await ended(process)
     assert os.read(reading, 1) == b"", "somebody else has it, too"

@@ -58,16 +58,14 @@ def test_the_last_word_is_waited_for_at_the_end(tmp_path: Path, monkeypatch: pyt
     rig = Rig(tmp_path)
     rig.say(keys.PAIR, pair(1))
     rig.recorder.step()
-    wait = rig.recorder.bus.wait
+    wait, later = rig.recorder.bus.wait, [(keys.PAIR, pair(2)), (keys.FINISHED, messages.Finished(iterations=3))]
 
     def told_later(timeout_s: float) -> bool:
         """Others speak when it has nothing to do any more."""
-        if len(said) < 2:
-            said.append(None)
-            rig.say(keys.PAIR, pair(2)) if len(said) == 1 else rig.say(keys.FINISHED, messages.Finished(iterations=3))
+        if later:
+            rig.say(*later.pop(0))
         return wait(timeout_s)
 
-    said: list[None] = []
     monkeypatch.setattr(rig.recorder.bus, "wait", told_later)
     rig.stop()
     assert [path for path, _ in rig.read()] == ["pair", "pair", "finished"]

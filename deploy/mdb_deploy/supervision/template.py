@@ -21,7 +21,6 @@ import gc
 import importlib
 import json
 import os
-import re
 import signal
 import socket
 import sys
@@ -31,17 +30,13 @@ import traceback
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import Any
+
+from mdb_services.shell.pages import let_go_of_files, threads
 
 LIBC = ctypes.CDLL(None)
 SUBREAPER = 36
 """PR_SET_CHILD_SUBREAPER of <linux/prctl.h>."""
-DONTNEED = 4
-"""MADV_DONTNEED of <asm-generic/mman-common.h>."""
-UNCHANGED = re.compile(r"^(\w+)-(\w+) r-.p .* /.*\n(?:\w+: .*\n)*?Anonymous: +0 kB", re.MULTILINE)
-"""In /proc/self/smaps: where a file is mapped that cannot be written to, and was not (as by the dynamic linker)."""
-THREADS = "/proc/self/task"
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """How libraries are told so."""
 IMPORTED = (
@@ -131,10 +126,10 @@ class Template:
             return None
         try:
             os.close(os.pidfd_open(os.getpid()))  # not there before Linux 5.3, and forbidden in some places
-            if _threads() > 1 or LIBC.prctl(SUBREAPER, 0, 0, 0, 0):
+            if threads() > 1 or LIBC.prctl(SUBREAPER, 0, 0, 0, 0):
                 return None
             loaded = _fill()
-            if _threads() > 1:
+            if threads() > 1:
                 return None
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         except (AttributeError, OSError):
@@ -249,7 +244,7 @@ class _Forge:
         asked = json.loads(request)
         if asked["words"][:2] == LEARNS and not self._loaded:  # another evolver may have compiled them
             self._loaded = _load_kernels()
-            _let_go_of_files()
+            let_go_of_files()
         try:
             if len(descriptors) != len(asked["numbers"]):
                 raise OSError(errno.EMFILE, "")
@@ -341,10 +336,6 @@ def _run(main: Callable[[list[str]], int], words: list[str]) -> int:
     return status
 
 
-def _threads() -> int:
-    return len(os.listdir(THREADS))
-
-
 def _fill() -> bool:
     """Import what services need and load what learns; return whether that could be loaded.
 
@@ -358,7 +349,7 @@ def _fill() -> bool:
         loaded = _load_kernels()
     gc.freeze()
     gc.enable()
-    _let_go_of_files()
+    let_go_of_files()
     return loaded
 
 
@@ -372,17 +363,6 @@ def _load_kernels() -> bool:
             compile_kernels()
         return True
     return False
-
-
-def _let_go_of_files() -> None:
-    """Let go of what is in memory of libraries' files: of LLVM, which loads kernels, 70 MB that nobody uses again.
-
-    Who does use something again gets it from the system, which keeps the file's content for whoever reads it.
-    """
-    with suppress(OSError):
-        for begin, end in UNCHANGED.findall(Path("/proc/self/smaps").read_text()):
-            place, size = int(begin, 16), int(end, 16) - int(begin, 16)
-            LIBC.madvise(ctypes.c_void_p(place), ctypes.c_size_t(size), DONTNEED)
 
 
 def _name(title: str) -> None:

@@ -62,7 +62,7 @@ def check_array(what: str, array: np.ndarray, kind: str, ndim: int) -> None:
     """Raise ValueError unless `array` has the dtype kind ("f", "i", "u"), dimensions and finite values."""
     if array.dtype.kind != kind or array.ndim != ndim:
         raise ValueError(f"{what}: got {array.ndim} dimensions of {array.dtype}; expected {ndim} of kind {kind!r}")
-    if kind == "f" and not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= VALUE_BOUND:  # nor no number
+    if kind == "f" and not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= VALUE_BOUND:  # nor is NaN
         raise ValueError(f"{what}: holds values that are not finite or beyond ±{VALUE_BOUND:g}")
 
 

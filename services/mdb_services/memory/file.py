@@ -123,7 +123,8 @@ class MemoryFile:
             self._db.execute(f"PRAGMA synchronous={'FULL' if power_safe else 'NORMAL'}")
             self._db.executescript(SCHEMA)
             columns = {row[1] for row in self._db.execute("PRAGMA table_info(pair)")}
-            (self._next,) = self._db.execute("SELECT coalesce(max(iteration) + 1, 0) FROM pair").fetchone()
+            (following,) = self._db.execute("SELECT coalesce(max(iteration) + 1, 0) FROM pair").fetchone()
+            self._next = int(following)
         except sqlite3.Error as error:
             if code_of(error) in DAMAGE:
                 raise self.unusable(error) from error
@@ -262,7 +263,7 @@ class MemoryFile:
 
     def next_iteration(self) -> int:
         """Return the iteration after that of the last pair; 0 without one."""
-        return int(self._next)
+        return self._next
 
     def tried(self) -> list[tuple[int, int, int]]:
         """Return (note or -1, choice, iteration) of the last time that a choice was taken under a note."""
