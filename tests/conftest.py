@@ -1,6 +1,8 @@
 """What holds for every test."""
 
-from collections.abc import Callable, Iterator
+import faulthandler
+import os
+from collections.abc import Callable, Generator, Iterator
 
 import pytest
 import structlog
@@ -13,8 +15,27 @@ zenoh_sessions.CLIENT_THREADS = zenoh_sessions.ROUTER_THREADS
 there are: with a client's a router would wait in the thread that its reader needs.
 """
 
+STUCK_S = 30
+"""A test that hangs in a library's code, where its timeout cannot reach it, ends its process so long after it."""
+stderr = pytest.StashKey[int]()
+
 settings.register_profile("the same each time", derandomize=True)
 settings.load_profile("the same each time")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[stderr] = os.dup(2)  # which is the tests' own later
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    mark = item.get_closest_marker("timeout")
+    limit = float(mark.args[0] if mark else item.config.getini("timeout"))
+    faulthandler.dump_traceback_later(limit + STUCK_S, exit=True, file=item.config.stash[stderr])
+    try:
+        return (yield)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 @pytest.fixture(autouse=True)
