@@ -205,13 +205,16 @@ def pack(row: Key, message: Message) -> bytes:
 
 
 def read(row: Key, brain: str, raw: Raw) -> Message:
-    """Decode a sample of a key row; DecodeError when it is not the row's message or not its writer's.
+    """Decode a sample of its key's row; DecodeError when it is not the row's message or not its writer's.
 
-    A message that names its teacher or model must lie on the key of that teacher or model.
+    A message that names its teacher or model must lie on the key of that teacher or model. Whoever reads the same
+    sample next gets the same message; what was refused is refused anew.
     """
-    if row.message is not None and (size := size_of(raw)) > row.most_bytes:
-        raise DecodeError(f"sample of {size} bytes; at most {row.most_bytes} are read")
-    return read_as(codec.decode, row, brain, raw)
+    if raw.message is None:
+        if row.message is not None and (size := size_of(raw)) > row.most_bytes:
+            raise DecodeError(f"sample of {size} bytes; at most {row.most_bytes} are read")
+        raw.message = read_as(codec.decode, row, brain, raw)
+    return raw.message
 
 
 def read_as(decode: Callable[[type[Message], bytes, str], Message], row: Key, brain: str, raw: Raw) -> Message:

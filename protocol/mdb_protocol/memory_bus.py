@@ -1,6 +1,8 @@
 """The bus inside one process: the same contract as Zenoh's, for `--inline` runs and for tests.
 
-Messages are encoded and decoded as on the wire, so nothing is shared between services by accident.
+Messages are encoded and decoded as on the wire, so nothing of the writer's is shared by accident. A sample is
+decoded once, by the first who reads it, and all its readers share that message: it is frozen and its arrays are
+read-only, and nobody may change its lists and dicts.
 """
 
 from __future__ import annotations

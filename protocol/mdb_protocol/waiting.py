@@ -7,17 +7,22 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from dataclasses import dataclass, field
 from itertools import count
 from queue import Empty, SimpleQueue
-from typing import NamedTuple
+
+from mdb_protocol.messages import Message
 
 
-class Raw(NamedTuple):
+@dataclass(slots=True)
+class Raw:
     """A sample as it came: full key, payload bytes, encoding string."""
 
     key: str
     payload: bytes
     encoding: str
+    message: Message | None = field(default=None, init=False, compare=False, repr=False)
+    """What is in it, once somebody has read it; see `bus.read`."""
 
 
 def size_of(raw: Raw) -> int:

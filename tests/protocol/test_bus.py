@@ -3,6 +3,7 @@
 import threading
 from typing import Any
 
+import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
@@ -100,6 +101,30 @@ def test_a_sample_on_another_key_or_in_anothers_name_is_refused() -> None:
         inbox.put(Raw(key, command, encoding))
     assert inbox.take() is None
     assert bus.refusals.counts[keys.COMMAND.path] == 4
+
+
+def test_of_one_sample_all_readers_get_one_message_which_is_none_of_the_writers() -> None:
+    fabric = Fabric()
+    first, second, writer = (MemoryBus(fabric, BRAIN) for _ in range(3))
+    inboxes, tap = [bus.subscriber(keys.CURRENT_MODEL) for bus in (first, second)], second.tap()
+    weights = np.zeros(4, dtype=np.float32)
+    model = messages.CurrentModel(model="world", version=1, generation=1, layers=[1, 1, 1], weights=weights, error=0)
+    writer.publisher(keys.CURRENT_MODEL, model="world").put(model)
+    message = inboxes[0].take()
+    assert (raw := tap.take()) is not None
+    assert inboxes[1].take() is message is bus_module.read(keys.CURRENT_MODEL, BRAIN, raw)
+    assert not np.shares_memory(message.weights, weights)
+    assert not message.weights.flags.writeable
+
+
+def test_a_sample_that_is_no_message_each_reader_refuses() -> None:
+    fabric = Fabric()
+    readers = [MemoryBus(fabric, BRAIN) for _ in range(2)]
+    inboxes = [bus.subscriber(keys.ACTION) for bus in readers]
+    junk = Raw(keys.ACTION.at(BRAIN), b"junk", codec.encoding_of(messages.Action))
+    fabric.put(readers[0], keys.ACTION, junk)
+    assert [inbox.take() for inbox in inboxes] == [None, None]
+    assert [bus.refusals.counts[keys.ACTION.path] for bus in readers] == [1, 1]
 
 
 def test_a_closed_bus_refuses_to_publish_and_closes_twice() -> None:

@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
-from mdb_protocol import keys
+from mdb_protocol import codec, keys
 from mdb_protocol.codec import to_plain
 from mdb_protocol.errors import ConfigError
 from mdb_protocol.memory_bus import Fabric, MemoryBus
 from mdb_protocol.messages import IterationReport
+from mdb_protocol.waiting import Raw
 from mdb_services.experiment.reading import read_file
 from mdb_services.recorder import read_log
 from mdb_sim.runs import experiment as experiments
@@ -251,6 +252,23 @@ def test_a_run_in_one_process_is_whole(first_run: list[tuple[str, dict[str, Any]
         changed = [c["version"] for c in values[keys.MEMORY_CHANGE.at("pioneer", model=model)]]
         learnt = [m["version"] for m in values[keys.CURRENT_MODEL.at("pioneer", model=model)]]
         assert changed == learnt == list(range(1, len(changed) + 1)), "every version gets its generations"
+
+
+def test_no_service_changes_a_message_that_all_who_read_it_share(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[Raw] = []
+    put = Fabric.put
+
+    def keep(fabric: Fabric, owner: MemoryBus, row: keys.Key, raw: Raw) -> None:
+        said.append(raw)
+        put(fabric, owner, row, raw)
+
+    monkeypatch.setattr(Fabric, "put", keep)
+    run_experiment(Experiment.read(PAPER, SHORT), tmp_path / "run")
+    read = [(raw.payload, raw.message) for raw in said if raw.message is not None]
+    assert len(read) > 24
+    assert [message for payload, message in read if codec.encode(message) != payload] == []
 
 
 def test_a_run_can_be_stopped_and_watched(tmp_path: Path) -> None:
