@@ -71,11 +71,14 @@ def _check_words(arguments: argparse.Namespace) -> None:
 
 def _up(arguments: argparse.Namespace) -> int:
     _check_words(arguments)
-    if arguments.inline:
-        return _run(arguments, _wanted(arguments), None)
     from mdb_deploy.cli.main import main
-    from mdb_deploy.supervision.template import Template, one_thread
+    from mdb_deploy.supervision.template import Template, kept, one_thread
 
+    if arguments.inline:
+        with kept():
+            experiment = _wanted(arguments)
+            import mdb_sim.runs.inline  # noqa: F401 - with all that it needs
+        return _run(arguments, experiment, None)
     with one_thread():
         experiment = _wanted(arguments)
         experiment.keep()  # for the services

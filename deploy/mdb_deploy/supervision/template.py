@@ -73,6 +73,17 @@ def one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
+@contextmanager
+def kept() -> Iterator[None]:
+    """Nobody looks for garbage meanwhile, or later in what is there then: what is imported stays."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
 class TemplateGoneError(Exception):
     """There is no template any more."""
 
@@ -339,16 +350,13 @@ def _run(main: Callable[[list[str]], int], words: list[str]) -> int:
 def _fill() -> bool:
     """Import what services need and load what learns; return whether that could be loaded.
 
-    Nobody looks for garbage meanwhile or later in what is there now: that is written to, and then no longer shared.
+    It is `kept`: who looks for garbage writes to what he looks at, and then it is no longer shared.
     """
-    gc.disable()
-    with one_thread():
+    with kept(), one_thread():
         for module in IMPORTED:
             with suppress(Exception):  # whoever needs it says what is wrong with it
                 importlib.import_module(module)
         loaded = _load_kernels()
-    gc.freeze()
-    gc.enable()
     let_go_of_files()
     return loaded
 
