@@ -99,7 +99,8 @@ class MemoryMirror:
 
     def arrays(self) -> tuple[Floats, Floats, Ids]:
         """Return copies of inputs (n, inputs), targets (n, outputs) and ids (n,), in slot order."""
-        return self._inputs[self._used], self._targets[self._used], self._ids[self._used]
+        slots = self.slots
+        return self._inputs.take(slots, axis=0), self._targets.take(slots, axis=0), self._ids[slots]
 
     def apply(self, change: Change, inputs: NDArray[Any], targets: NDArray[Any]) -> None:
         """Take over one change with its rows, inputs (k, inputs) and targets (k, outputs).
