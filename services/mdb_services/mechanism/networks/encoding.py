@@ -81,10 +81,7 @@ class Channel:
         """Whether all values can be encoded: an index that the channel lacks cannot, nor a vector of other length."""
         if self.encoding == "scalar":
             return values.ndim == 1 if self.numbers == 1 else values.shape[1:] == (self.numbers,)
-        if values.ndim != 1:
-            return False
-        count = self.size if self.encoding == "one_hot" else len(self.values)
-        return bool(((values >= 0) & (values < count) & (values == np.floor(values))).all())
+        return values.ndim == 1 and self._known.issuperset(values.tolist())  # few: quicker than with arrays
 
     def encode(self, values: NDArray[np.float64]) -> Floats:
         """Return (n, width) float32 of values (n,) or (n, numbers)."""
@@ -97,6 +94,11 @@ class Channel:
         if self.encoding == "rank":
             values = self._places[values.astype(np.intp)]
         return values[:, None] if values.ndim == 1 else values
+
+    @cached_property
+    def _known(self) -> frozenset[int]:
+        """The indices that there are."""
+        return frozenset(range(self.indices or 0))
 
     @cached_property
     def _places(self) -> NDArray[np.float64]:
