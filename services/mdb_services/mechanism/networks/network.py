@@ -92,11 +92,11 @@ class Network:
     def sums(self, inputs: NDArray[Any]) -> Floats:
         """Return the outputs before they are cut off: for comparing cases that all come out at the bound."""
         rows = np.asarray(inputs, dtype=np.float32)
-        if rows.ndim != 2 or rows.shape[1] != self.sizes[0]:
+        if rows.ndim != 2 or rows.shape[1] != self.layers[0].shape[1] - 1:
             raise ValueError(f"inputs have shape {rows.shape}; expected (n, {self.sizes[0]}): one row a case")
         for layer in self.layers[:-1]:
             rows = rows @ layer[:, :-1].T  # an array of our own from here on
-            rows += layer[:, -1]
+            rows += layer[:, -1].copy()  # side by side they are added several at once
             np.tanh(rows, out=rows)
         last = self.layers[-1]
         sums: Floats = rows @ last[:, :-1].T
