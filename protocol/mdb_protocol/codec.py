@@ -128,10 +128,10 @@ def to_plain(message: Message) -> dict[str, Any]:
 def _to_plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         array = np.ascontiguousarray(value)
-        if array.dtype.str not in DTYPES:
-            raise TypeError(f"array dtype is {array.dtype.str}; expected one of {', '.join(DTYPES)}")
-        header = [array.dtype.str, array.shape, array.tobytes()]
-        return msgspec.msgpack.Ext(ARRAY_EXT, msgspec.msgpack.encode(header))
+        dtype = array.dtype.str
+        if dtype not in DTYPES:
+            raise TypeError(f"array dtype is {dtype}; expected one of {', '.join(DTYPES)}")
+        return msgspec.msgpack.Ext(ARRAY_EXT, msgspec.msgpack.encode((dtype, array.shape, array.tobytes())))
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{type(value).__name__} cannot be sent: {value!r}")
@@ -147,7 +147,7 @@ def _decoder(message_type: type[M]) -> msgspec.msgpack.Decoder[M]:
 
 def _ext_hook(code: int, data: bytes | memoryview) -> Any:
     dtype, shape, raw = array_parts(code, data)
-    return np.frombuffer(raw, dtype).reshape(shape)
+    return np.ndarray(shape, dtype, raw)  # read-only, as bytes are
 
 
 def array_parts(code: int, data: bytes | memoryview) -> tuple[str, list[int], bytes]:
