@@ -76,9 +76,11 @@ class Waiting:
         """Let a sample wait; return the paths of those that went for it."""
         dropped: list[str] = []
         with self._lock:
-            if path not in self._paths:
-                self._paths[path], self._bytes[path] = deque(), 0
-            self._paths[path].append((next(self._number), size, raw))
+            waiting = self._paths.get(path)
+            if waiting is None:
+                waiting = self._paths[path] = deque()
+                self._bytes[path] = 0
+            waiting.append((next(self._number), size, raw))
             self._bytes[path] += size
             self._all_bytes += size
             self._length += 1
@@ -93,8 +95,11 @@ class Waiting:
         """Take the oldest samples, in order."""
         if not self._length:  # what comes meanwhile wakes the reader
             return []
+        taken: list[Raw] = []
         with self._lock:
-            return [self._pop(self._oldest()) for _ in range(min(most, self._length))]
+            while self._length and len(taken) < most:
+                taken.append(self._pop(self._oldest()))
+        return taken
 
     def _oldest(self) -> str:
         if len(self._paths) == 1:
@@ -102,10 +107,11 @@ class Waiting:
         return min(self._paths, key=lambda path: self._paths[path][0][0])
 
     def _pop(self, path: str) -> Raw:
-        _, size, raw = self._paths[path].popleft()
+        waiting = self._paths[path]
+        _, size, raw = waiting.popleft()
         self._bytes[path] -= size
         self._all_bytes -= size
         self._length -= 1
-        if not self._paths[path]:
+        if not waiting:
             del self._paths[path], self._bytes[path]
         return raw
