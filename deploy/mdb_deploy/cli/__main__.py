@@ -16,6 +16,7 @@ def main() -> int:
     os.environ.pop("MPLBACKEND", None)  # a notebook's: here figures are files
     for name in [name for name in os.environ if name.startswith("NUMBA_") and name not in KERNELS]:
         del os.environ[name]  # of another program's debugging: some stop the kernels' compiler
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in compose.yaml; threads take 0.1 s to start
     from mdb_deploy.cli.main import main as run
 
     return run()
