@@ -344,3 +344,5 @@ class RobotService:
     def close(self) -> None:
         """Bring the body to rest, and free it."""
         self._acting.close()
+        if self._file is not None:
+            self._file.close()
