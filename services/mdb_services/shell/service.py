@@ -173,17 +173,20 @@ def run(service: Service, stop: Callable[[], bool], folder: Path | None = None, 
     """
     failures = 0
     heart = heart or Heart()
+    # Asked once: to look whether it has what a protocol wants takes longer than many a step.
+    due_in_s = service.due_in_s if isinstance(service, Timed) else lambda: WAIT_S
+    next_s = service.next_s if isinstance(service, Bounded) else lambda: SILENT_S
     sys.setswitchinterval(SWITCH_S)
     try:
         meter = announce(service, folder)
         heart.ready()
         log.info("ready", role=service.role, instance=service.instance)
         while not stop():
-            service.bus.wait(min(WAIT_S, service.due_in_s()) if isinstance(service, Timed) else WAIT_S)
+            service.bus.wait(min(WAIT_S, due_in_s()))
             try:
-                _turn(service, meter, heart)
+                _turn(service, meter, heart, next_s)
                 while service.step() and not stop():
-                    _turn(service, meter, heart)
+                    _turn(service, meter, heart, next_s)
                 failures = 0
             except UnheardError:
                 raise
@@ -198,12 +201,12 @@ def run(service: Service, stop: Callable[[], bool], folder: Path | None = None, 
         log.info("stopped", role=service.role, instance=service.instance)
 
 
-def _turn(service: Service, meter: Meter, heart: Heart) -> None:
+def _turn(service: Service, meter: Meter, heart: Heart, next_s: Callable[[], float]) -> None:
     """Do what belongs before each step."""
     service.bus.serve()
     service.bus.check_heard()
     meter.tick()
-    heart.beat(service.next_s() if isinstance(service, Bounded) else SILENT_S)
+    heart.beat(next_s())
 
 
 def run_inline(services: Sequence[Service], stop: Callable[[], bool]) -> None:
