@@ -11,7 +11,6 @@ before his next heartbeat, a late joiner gets all of the cache. So a reader must
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Callable
@@ -331,12 +330,6 @@ class ZenohBus(Bus):
     def brains(self) -> list[str]:
         """Return the names of all brains of which anybody is alive at this router; with keys only one's own."""
         return keys.brains_of(self._tokens(keys.ALIVE_ANYWHERE))
-
-    def sharing(self, role: str, instance: str) -> int:
-        """Return how many sessions hold this token, which should be one; 0 when the router does not say."""
-        key = f"@/*/router/token/{ALIVE.at(self.brain, role=role, instance=instance)}"
-        replies = self._session.get(key, timeout=TOKENS_S)
-        return sum(len(json.loads(reply.ok.payload.to_bytes())["clients"]) for reply in replies if reply.ok)
 
     def alive(self) -> frozenset[str]:
         """See `Bus.alive`; the first call asks and from then on follows the changes."""

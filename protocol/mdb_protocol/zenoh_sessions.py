@@ -51,7 +51,12 @@ MALLOPT = ((-8, 2), (-3, 2**20), (-1, 2**20))
 keys took goes back to the system, where it stayed (100 MB after a minute of floods).
 """
 ADMIN, ADMIN_S = "@/*/router", 2.0
-"""Where a router tells of itself, and the bound on asking it."""
+"""Where a router tells of itself, and the bound on asking it.
+
+Nothing else of its admin space may be asked: of tokens, subscribers and the like it tells while it holds a lock that
+the telling needs again. If somebody declares something at that moment, both wait for ever, and soon the whole router
+does (Zenoh 1.10; its pull request 2619).
+"""
 _HERE = threading.local()
 QUIC_SAYS = "or it refuses these keys, which cannot be told apart over QUIC"
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -170,14 +171,14 @@ def flipped(maker: Maker, row: Key) -> Raw:
 def another_version(maker: Maker, row: Key) -> Raw:
     other = maker.one_of("mdb=1", f"mdb={codec.VERSION + 1}", f"mdb={codec.VERSION}.")
     encoding = maker.encoding(row).replace(f"mdb={codec.VERSION}", other)
-    return maker.raw(row, maker.payload(row))._replace(encoding=encoding)
+    return replace(maker.raw(row, maker.payload(row)), encoding=encoding)
 
 
 def another_encoding(maker: Maker, row: Key) -> Raw:
     encoding = maker.one_of(
         "", "text/plain", f"application/msgpack;mdb={codec.VERSION};Stranger", "x" * 255
     )  # Zenoh sends no longer ones
-    return maker.raw(row, maker.payload(row))._replace(encoding=encoding)
+    return replace(maker.raw(row, maker.payload(row)), encoding=encoding)
 
 
 def another_type(maker: Maker, row: Key) -> Raw:

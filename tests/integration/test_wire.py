@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from io import StringIO
 from pathlib import Path
 
@@ -82,7 +83,24 @@ def test_of_two_robots_that_start_at_the_same_moment_one_stays(attempt: int, end
         until(lambda: any(process.poll() is not None for process in both))
         until(lambda: "robot/body" in bus.alive())
         assert [process.poll() for process in both].count(None) == 1
-        assert (bus.sharing("robot", "body"), len(bus.holders("robot", "body"))) == (1, 1)
+        assert len(bus.holders("robot", "body")) == 1
+
+
+def test_who_counts_robots_stops_no_router_to_which_others_come(endpoint: str) -> None:
+    came = []
+
+    def come_and_go() -> None:
+        for number in range(100):
+            with ZenohBus("busy", endpoint) as bus:
+                bus.token("teacher", f"t{number}")
+                came.append(len(bus.alive()))
+
+    with ZenohBus("busy", endpoint) as bus, ThreadPoolExecutor(2) as others:
+        bus.claim("robot", "body", "one")
+        coming = [others.submit(come_and_go) for _ in range(2)]
+        while not all(one.done() for one in coming):
+            assert bus.holders("robot", "body") == {"one"}
+    assert len(came) == 200
 
 
 @pytest.mark.long
@@ -94,7 +112,7 @@ def test_a_run_does_not_begin_with_two_robots_that_do_not_ask_and_ends_when_a_se
         with ZenohBus("pioneer", endpoint) as bus, Robot(endpoint, "pioneer", NEGLECTS):
             reports = bus.subscriber(keys.ITERATION)
             with Robot(endpoint, "pioneer", NEGLECTS):
-                until(lambda: bus.sharing("robot", "body") == 2)
+                until(lambda: len(bus.holders("robot", "body")) == 2)
                 until(lambda: "evolver/object" in bus.alive())
                 assert not until_not(lambda: "optimizer/action" in bus.alive(), 1.0)
             iteration_after(bus, reports, 3)
@@ -102,7 +120,7 @@ def test_a_run_does_not_begin_with_two_robots_that_do_not_ask_and_ends_when_a_se
                 assert brain.wait(30.0) == 2
     finally:
         said = end(brain)
-    assert "one robot is awaited; stop the others: 2 robots hold alive/robot/body of brain pioneer" in said
+    assert "one robot is awaited; stop the others: 2 robots claim to be that of brain pioneer" in said
     assert "Stop all but one, and go on with 'mdb up --resume" in said
 
 

@@ -33,7 +33,7 @@ JOIN_S = 2.0
 COUNTED_S = 1.0
 """So often robots are counted."""
 MIXED = (
-    "{robots} robots hold alive/robot/body of brain {brain}, and neither asked for the other (duty 1 in "
+    "{robots} robots claim to be that of brain {brain}, and neither asked for the other (duty 1 in "
     "protocol/README.md): what they do would mix"
 )
 
@@ -105,7 +105,7 @@ class Watch:
         self._awaited = elsewhere or self._mixed
 
     def _robots(self) -> int:
-        return self._bus.sharing(ROBOT, INSTANCES[ROBOT]) if self._bus is not None else 0
+        return len(self._bus.holders(ROBOT, INSTANCES[ROBOT])) if self._bus is not None else 0
 
     def _count(self) -> None:
         """Raise TakenError when there is more than one robot, and has been for longer than the dead are seen."""

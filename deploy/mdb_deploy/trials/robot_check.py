@@ -119,8 +119,6 @@ class RobotCheck:
             had = ", ".join(f"claim/robot/body/{name}" for name in claims) or "no claim"
             why = "by it two that start in the same moment know of each other"
             found(1, f"there is {had}; expected one claim/robot/body/NAME: {why}")
-        if (robots := link.bus.sharing("robot", "body")) > 1:
-            found(1, f"{robots} robots hold alive/robot/body; stop all but the one that is to be tried")
         found(1, None)
 
     def _idle(self) -> None:
