@@ -2,11 +2,12 @@
 
 import faulthandler
 import os
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 import structlog
 from hypothesis import settings
+from pytest_timeout import Settings
 
 from mdb_protocol import zenoh_sessions
 
@@ -27,15 +28,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[stderr] = os.dup(2)  # which is the tests' own later
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    mark = item.get_closest_marker("timeout")
-    limit = float(mark.args[0] if mark else item.config.getini("timeout"))
-    faulthandler.dump_traceback_later(limit + STUCK_S, exit=True, file=item.config.stash[stderr])
-    try:
-        return (yield)
-    finally:
-        faulthandler.cancel_dump_traceback_later()
+def pytest_timeout_set_timer(item: pytest.Item, settings: Settings) -> None:
+    faulthandler.dump_traceback_later(settings.timeout + STUCK_S, exit=True, file=item.config.stash[stderr])
+
+
+def pytest_timeout_cancel_timer() -> None:
+    faulthandler.cancel_dump_traceback_later()
 
 
 @pytest.fixture(autouse=True)
