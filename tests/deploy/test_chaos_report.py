@@ -74,6 +74,15 @@ def test_a_kill_is_recovered_when_token_and_then_iterations_are_back() -> None:
     assert (pending.kill.token_s, pending.kill.recovered_s) == (pytest.approx(0.5), pytest.approx(0.7))
 
 
+def test_a_successor_that_came_between_two_looks_is_seen_though_the_token_was_never_missed() -> None:
+    pending = Pending(Kill("memory", 1.0, 10), "memory/store", killed_s=100.0)
+    assert not pending.look(100.1, ALL, ALL, 15)
+    assert not pending.look(100.2, ALL, ALL, 16, replaced=True)
+    assert not pending.look(100.3, ALL, ALL, 16)
+    assert pending.look(100.4, ALL, ALL, 18)
+    assert (pending.kill.token_s, pending.kill.recovered_s) == (pytest.approx(0.3), pytest.approx(0.4))
+
+
 def test_the_router_is_back_when_everybody_is() -> None:
     pending = Pending(Kill("router", 1.0, 10), "router", killed_s=100.0)
     for now_s, alive in ((100.1, frozenset[str]()), (100.4, ALL - {"memory/store"}), (100.6, ALL)):

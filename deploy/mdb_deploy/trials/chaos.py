@@ -75,14 +75,26 @@ class Pending:
     kill: Kill
     token: str
     killed_s: float
+    pid: int = 0
     gone: bool = False
     iteration: int = 0
 
-    def look(self, now_s: float, alive: frozenset[str], everybody: frozenset[str], iteration: int) -> bool:
-        """Follow what is seen now; return whether the brain has recovered from this kill."""
+    def look(
+        self,
+        now_s: float,
+        alive: frozenset[str],
+        everybody: frozenset[str],
+        iteration: int,
+        *,
+        replaced: bool = False,
+    ) -> bool:
+        """Follow what is seen now; return whether the brain has recovered from this kill.
+
+        `replaced`: there is a successor already. A token that was away for a moment only may not have been missed.
+        """
         back = alive >= everybody if self.token == ROUTER else self.token in alive
         if not self.gone:
-            self.gone = not back
+            self.gone = replaced or not back
         elif self.kill.token_s is None and back:
             self.kill.token_s, self.iteration = now_s - self.killed_s, iteration
         elif self.kill.token_s is not None and iteration >= self.iteration + ITERATIONS:
@@ -165,7 +177,11 @@ class Chaos:
         self.brain.check_alive()
         now_s, iteration = time.monotonic(), self.brain.iteration
         self.commander.look(now_s, alive, self.brain.members[OPTIMIZER].token, self.brain.acted)
-        self._pending = [p for p in self._pending if not p.look(now_s, alive, self._everybody, iteration)]
+        waiting = [p for p in self._pending if not p.gone and p.token != ROUTER]
+        processes = self.brain.processes() if waiting else {}
+        replaced = [p for p in waiting if p.kill.role in processes and processes[p.kill.role].pid != p.pid]
+        seen = now_s, alive, self._everybody, iteration
+        self._pending = [p for p in self._pending if not p.look(*seen, replaced=p in replaced)]
         time.sleep(POLL_S)
 
     def _kill(self) -> bool:
@@ -183,7 +199,7 @@ class Chaos:
         processes[role].send_signal(signal.SIGSTOP if hang else signal.SIGKILL)
         kill = Kill(role, killed_s - self.began_s, self.brain.iteration, hang=hang)
         self.kills.append(kill)
-        self._pending.append(Pending(kill, self.brain.members[role].token, killed_s))
+        self._pending.append(Pending(kill, self.brain.members[role].token, killed_s, processes[role].pid))
         for pending in self._pending:
             pending.kill.together = len(self._pending) > 1
             pending.kill.beside_hang |= any(other.kill.hang for other in self._pending if other is not pending)
