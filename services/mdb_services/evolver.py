@@ -19,11 +19,11 @@ from mdb_protocol.bus import Bus
 from mdb_protocol.codec import MAX_BYTES
 from mdb_protocol.errors import ConfigError, QueryError
 from mdb_services.experiment.brain import BrainConfig
+from mdb_services.mechanism.evolution import native
 from mdb_services.mechanism.learners import Best, Learner, make_learner
 from mdb_services.mechanism.memories.stm import Change, MemoryMirror, VersionGapError
 from mdb_services.mechanism.networks.encoding import Codebook
 from mdb_services.mechanism.networks.network import Floats, Network, Shape
-from mdb_services.mechanism.settings import DifferentialConfig, EvolutionConfig
 from mdb_services.shell.heartbeat import COMPILE_S, SILENT_S
 from mdb_services.shell.snapshot import snapshot_of
 
@@ -34,13 +34,6 @@ QUERY_S = 2.0
 """Bound on asking the memory store; without an answer the next step asks again."""
 SLOWER = 20.0
 """A version may take so many times longer to learn than any before it: a fuller memory, a busier machine."""
-
-
-def compile_kernels() -> None:
-    """Compile evolution and errors once (and cache them), so that no first memory version waits for a compiler."""
-    rows = np.zeros((2, 1), np.float32)
-    for name, settings in (("pbga", EvolutionConfig(generations=1)), ("de", DifferentialConfig(generations=1))):
-        make_learner(name, Shape(1, (1,), 1), settings, 0, "warm-up").learn(rows, rows, version=0)
 
 
 def _learner_of(config: BrainConfig, model: str, shape: Shape) -> Learner:
@@ -64,7 +57,7 @@ class Evolver:
         self.bus, self.instance = bus, model
         shape = Shape(codebook.width, section.hidden, codebook.output_width)
         self._learner = _learner_of(config, model, shape)
-        compile_kernels()
+        native.load()  # so that no first memory version waits for a compiler
         self._lockstep = config.lockstep
         self._tells_support = config.is_supported(model)
         self._mirror = MemoryMirror(section.capacity, shape.inputs, shape.outputs)

@@ -12,7 +12,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from mdb_services.mechanism.evolution.kernel import TANH_ERROR
+from mdb_services.mechanism.evolution.layout import TANH_ERROR
 from tests.benchmarks.peers import match
 from tests.benchmarks.peers.contestant import ENTRIES
 from tests.benchmarks.peers.match import Match

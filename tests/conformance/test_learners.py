@@ -89,7 +89,7 @@ def test_without_cmaes_the_error_names_the_extra(monkeypatch):
         make_learner("cma", SMALL, LEARNER_CONFIGS["cma"](), 5, "evolver/object")
 
 
-def test_reading_an_experiment_file_imports_neither_numba_nor_cmaes():
-    read = "import sys, mdb_services.experiment.brain; print(sys.modules.keys() & {'numba', 'cmaes'})"
+def test_reading_an_experiment_file_imports_neither_numba_nor_llvm_nor_cmaes():
+    read = "import sys, mdb_services.experiment.brain; print(sys.modules.keys() & {'numba', 'llvmlite', 'cmaes'})"
     done = subprocess.run([sys.executable, "-c", read], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"

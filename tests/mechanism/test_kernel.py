@@ -5,16 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba.core.errors import TypingError
 
-from mdb_services.mechanism.evolution.genomes import in_blocks
-from mdb_services.mechanism.evolution.kernel import (
-    BLOCK,
-    LANES,
-    TANH_ERROR,
-    population_errors,
-)
-from mdb_services.mechanism.evolution.packing import GROUP
+from mdb_services.mechanism.evolution.genomes import Measure, in_blocks
+from mdb_services.mechanism.evolution.layout import BLOCK, GROUP, LANES, TANH_ERROR
 from mdb_services.mechanism.networks.network import Shape
 from tests.mechanism.reference import reference_errors
 
@@ -41,8 +34,7 @@ pair_counts = st.one_of(st.integers(1, 200), st.sampled_from(around_blocks))
 
 def measured(weights, promoters, shape, inputs, targets):
     errors, squares = np.empty(len(weights)), np.empty(len(weights))
-    sizes = np.array(shape.sizes, dtype=np.int64)
-    population_errors(weights, promoters, sizes, in_blocks(inputs), in_blocks(targets), len(inputs), errors, squares)
+    Measure(shape, inputs, targets).write(weights, promoters, errors, squares)
     return errors, squares
 
 
@@ -146,10 +138,8 @@ def test_threads_that_share_a_population_by_rows_give_the_same_bits() -> None:
 def test_without_room_for_squares_the_errors_are_the_same() -> None:
     shape = Shape(3, (6,), 2)
     weights, promoters, inputs, targets = case(shape, 33, 1)
-    errors, sizes = np.empty(len(weights)), np.array(shape.sizes)
-    population_errors(
-        weights, promoters, sizes, in_blocks(inputs), in_blocks(targets), len(inputs), errors, np.empty(0)
-    )
+    errors = np.empty(len(weights))
+    Measure(shape, inputs, targets).write(weights, promoters, errors, np.empty(0))
     assert np.array_equal(errors, measured(weights, promoters, shape, inputs, targets)[0])
 
 
@@ -157,8 +147,21 @@ def test_other_numbers_than_contiguous_float32_are_refused() -> None:
     shape = Shape(2, (3,), 1)
     weights, promoters, inputs, targets = case(shape, 4, 1)
     for wrong in (weights.astype(np.float64), weights[:, ::-1]):
-        with pytest.raises(TypingError, match="contiguous"):
+        with pytest.raises(ValueError, match="contiguous"):
             measured(wrong, promoters, shape, inputs, targets)
+
+
+def test_arrays_of_other_sizes_are_refused() -> None:
+    shape = Shape(2, (3,), 1)
+    weights, promoters, inputs, targets = case(shape, 4, 1)
+    measure, errors = Measure(shape, inputs, targets), np.empty(len(weights))
+    for wrong in (weights[:, 1:].copy(), weights[1:]):
+        with pytest.raises(ValueError, match="expected"):
+            measure.write(wrong, promoters, errors, errors)
+    with pytest.raises(ValueError, match="expected"):
+        measure.write(weights, promoters, errors, errors[1:])
+    with pytest.raises(ValueError, match="inputs"):
+        Measure(Shape(3, (3,), 1), inputs, targets)
 
 
 def measured_tanh(values: np.ndarray) -> np.ndarray:

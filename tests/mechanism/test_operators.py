@@ -7,15 +7,13 @@ from time import sleep
 import numpy as np
 import pytest
 
-from mdb_services.mechanism.evolution import operators
-from mdb_services.mechanism.evolution.compiling import VERSION
-from mdb_services.mechanism.evolution.generations import _do_parts, _evolve, evolve, find_best
-from mdb_services.mechanism.evolution.genomes import in_blocks
-from mdb_services.mechanism.evolution.kernel import population_errors
-from mdb_services.mechanism.evolution.operators import Settings
-from mdb_services.mechanism.evolution.parts import PUT_UP, is_done, is_open, new_board, put_up, report, take
-from mdb_services.mechanism.evolution.rows import WEIGHTS, cross_units, write_weights
-from mdb_services.mechanism.evolution.vectors import ROW
+from mdb_services.mechanism.evolution.compiled import operators
+from mdb_services.mechanism.evolution.compiled.generations import MANY, find_best
+from mdb_services.mechanism.evolution.compiled.parts import is_done, is_open, put_up, report, take
+from mdb_services.mechanism.evolution.compiled.rows import WEIGHTS, cross_units, write_weights
+from mdb_services.mechanism.evolution.genomes import as_pairs
+from mdb_services.mechanism.evolution.layout import PUT_UP, ROW, new_board
+from mdb_services.mechanism.evolution.population import Population
 from mdb_services.mechanism.learners.pbga import PromoterGA
 from mdb_services.mechanism.networks.network import Network, Shape, split_layers
 from mdb_services.mechanism.settings import EvolutionConfig
@@ -35,10 +33,6 @@ def stream(number: int) -> np.uint64:
 
 def bits(number: int, count: int) -> list[np.uint64]:
     return [np.uint64(operators.draw(stream(number), index)) for index in range(count)]
-
-
-def settings_of(config: EvolutionConfig) -> Settings:
-    return Settings(**{name: getattr(config, name) for name in Settings._fields})
 
 
 def units_of_child(
@@ -105,14 +99,12 @@ def evolved(
     steps = np.full(config.population, config.step_first, np.float32)
     errors, fitness = np.empty(config.population), np.empty(config.population)
     inputs, targets = random.uniform(-1, 1, (20, shape.inputs)), random.uniform(-1, 1, (20, shape.outputs))
-    data = (in_blocks(inputs), in_blocks(targets), len(inputs))
-    first, sizes, population = 0, np.array(shape.sizes), (weights, promoters, steps)
-    populations = population, tuple(np.full_like(array, 77) for array in population)
+    first, pairs = 0, as_pairs(inputs, targets)
+    population = Population(shape, config, (weights, promoters, steps), errors, fitness)
     for count in (generations,) if isinstance(generations, int) else generations:
-        span = (first, first + count)
-        evolve(populations, errors, fitness, sizes, data, np.uint64(seed), span, settings_of(config), helpers)
+        population.evolve(pairs, seed, range(first, first + count), helpers)
         first += count
-    return population
+    return weights, promoters, steps
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -260,13 +252,25 @@ def test_offspring_and_generations_have_streams_of_their_own() -> None:
     assert np.unique(bits(1, 1000)).size == 1000
 
 
+def best_of(fitness: np.ndarray, count: int) -> list[int]:
+    order, *spaces = (np.zeros(fitness.size + 1, np.int64) for _ in range(4))
+    found = find_best(fitness, count, order, *spaces)
+    assert count <= found <= fitness.size
+    return order[:found].tolist()
+
+
 @pytest.mark.parametrize("count", [1, 7, 60])
 def test_the_best_come_first_and_among_equals_the_lower_index(count: int) -> None:
-    fitness = np.round(np.random.default_rng(0).random(60) * 9)
-    best = find_best(fitness, count)
-    assert best[:count].tolist() == np.argsort(fitness, kind="stable")[:count].tolist()
+    fitness = np.round(np.random.default_rng(0).normal(size=60) * 9) + 0.0  # no zero has a sign
+    assert best_of(fitness, count)[:count] == np.argsort(fitness, kind="stable")[:count].tolist()
     fitness[:] = np.nan
-    assert find_best(fitness, count).size >= count
+    assert best_of(fitness, count) == list(range(60))
+
+
+@pytest.mark.parametrize("count", [MANY, MANY + 1, 3 * MANY + 5])
+def test_the_best_of_many_come_first_and_among_equals_the_lower_index(count: int) -> None:
+    fitness = np.round(np.random.default_rng(0).normal(size=4 * MANY) * MANY) + 0.0
+    assert best_of(fitness, count)[:count] == np.argsort(fitness, kind="stable")[:count].tolist()
 
 
 def test_who_errs_by_no_number_is_nobody_s_best() -> None:
@@ -328,10 +332,3 @@ def test_sizes_and_bounds_of_a_population_are_kept() -> None:
         assert np.abs(weights).max() <= 1.5
         assert promoters.max() <= 1
         assert 0.5 <= steps.min() <= steps.max() <= 1.0
-
-
-def test_compiled_code_is_kept_under_the_version_of_the_files_it_contains() -> None:
-    evolved(SHAPES[0], EvolutionConfig(population=10), 1)
-    for function in (_evolve, _do_parts, population_errors, take, operators.draw):
-        key = function._cache._index_key(_evolve.signatures[0], _evolve.targetctx.codegen())
-        assert VERSION in key, function

@@ -150,10 +150,10 @@ def _follow(arguments: argparse.Namespace) -> int:
 
 
 def _warm_up(_: argparse.Namespace) -> int:
-    from mdb_services.evolver import compile_kernels
+    from mdb_services.mechanism.evolution import native
 
     sys.stderr.write("compiling the evolvers' kernels once (about half a minute)\n")
     began_s = time.monotonic()
-    compile_kernels()
+    native.load()
     sys.stderr.write(f"compiled in {time.monotonic() - began_s:.0f} s\n")
     return 0

@@ -364,11 +364,9 @@ def _fill() -> bool:
 def _load_kernels() -> bool:
     """Load what learns, compiled; what is not compiled yet each evolver compiles, and the next one finds it."""
     with suppress(Exception):
-        from mdb_services.evolver import compile_kernels
-        from mdb_services.mechanism.evolution.compiling import kept_only
+        from mdb_services.mechanism.evolution import native
 
-        with kept_only():
-            compile_kernels()
+        native.load(compiling=False)
         return True
     return False
 

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from mdb_services.experiment.brain import brain_config
 from mdb_services.experiment.reading import read_file
-from mdb_services.mechanism.evolution.genomes import in_blocks
-from mdb_services.mechanism.evolution.kernel import population_errors
+from mdb_services.mechanism.evolution.genomes import Measure
 from mdb_services.mechanism.learners.pbga import PromoterGA
 from mdb_services.mechanism.networks.network import Shape
 from mdb_services.mechanism.settings import EvolutionConfig
@@ -25,7 +24,7 @@ class Ours(Contestant):
     def __init__(self, problem: Problem, population: int) -> None:
         super().__init__(problem, population)
         self.shape = Shape(problem.inputs.shape[1], (problem.hidden,), problem.targets.shape[1])
-        self.data = (in_blocks(problem.inputs), in_blocks(problem.targets), len(problem.inputs))
+        self.measure = Measure(self.shape, problem.inputs, problem.targets)
 
     def config(self) -> EvolutionConfig:
         """Return the settings. The elite is not measured again, so it comes on top of the population."""
@@ -48,7 +47,7 @@ class Ours(Contestant):
 
     def _errors(self, genomes: Floats, promoters: NDArray) -> NDArray:
         errors, squares = np.empty(len(genomes)), np.empty(len(genomes))
-        population_errors(genomes, promoters, np.array(self.shape.sizes), *self.data, errors, squares)
+        self.measure.write(genomes, promoters, errors, squares)
         return errors
 
 

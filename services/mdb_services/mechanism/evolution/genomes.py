@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.evolution.kernel import BLOCK, LINE, population_errors
-from mdb_services.mechanism.evolution.packing import GROUP
+from mdb_services.mechanism.evolution import native
+from mdb_services.mechanism.evolution.layout import BLOCK, GROUP, MEASURE, Measured, Pairs, aligned, spaces_for
 from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
+
+Doubles = NDArray[np.float64]
 
 
 def embed(network: Network, shape: Shape, genome: NDArray[Any]) -> None:
@@ -43,16 +45,42 @@ class Measure:
     """Errors of genomes on one memory, inputs (n, inputs) and targets (n, outputs), by the compiled kernel."""
 
     def __init__(self, shape: Shape, inputs: Floats, targets: Floats) -> None:
+        for what, rows, columns in (("inputs", inputs, shape.inputs), ("targets", targets, shape.outputs)):
+            if rows.shape != (len(inputs), columns):
+                raise ValueError(f"{what} have shape {rows.shape}; expected {(len(inputs), columns)}")
         self._shape, self._sizes = shape, np.array(shape.sizes, dtype=np.int64)
-        self._data = in_blocks(inputs), in_blocks(targets), len(inputs)
+        self._pairs = as_pairs(inputs, targets)
+        self._room, self._spaces = 0, native.Table(spaces_for(shape.sizes, 0))
 
     def __call__(self, genomes: NDArray[Any], penalty: float = 0.0) -> NDArray[np.float64]:
         """Return the mean squared error of each genome (genomes, weights) plus the penalty on squared weights."""
         rows = np.ascontiguousarray(genomes, dtype=np.float32)
         promoters = np.ones((len(rows), self._shape.units), dtype=np.uint8)
         errors, squares = np.empty(len(rows)), np.empty(len(rows))
-        population_errors(rows, promoters, self._sizes, *self._data, errors, squares)
+        self.write(rows, promoters, errors, squares)
         return errors + penalty * squares
+
+    def write(self, weights: Floats, promoters: NDArray[np.uint8], errors: Doubles, squares: Doubles) -> None:
+        """Write each genome's mean squared error, and the sum of its squared weights that count.
+
+        weights (genomes, weights), promoters (genomes, hidden units), errors and squares (genomes,); squares of size
+        0 are not written, which saves their time. Raises ValueError when an array is not of its kind, or of another
+        size than the others.
+        """
+        count, shape = len(weights), self._shape
+        shapes = [array.shape for array in (weights, promoters, errors, squares)]
+        expected = [(count, shape.weights), (count, shape.units), (count,), (count if squares.size else 0,)]
+        if shapes != expected:
+            raise ValueError(f"weights, promoters, errors, squares have shapes {shapes}; expected {expected}")
+        if count > self._room:
+            self._room, self._spaces = count, native.Table(spaces_for(shape.sizes, count))
+        task = native.Table(Measured(weights, promoters, self._sizes, errors, squares))
+        native.run(task, self._pairs, self._spaces, MEASURE)
+
+
+def as_pairs(inputs: Floats, targets: Floats) -> native.Table[Pairs]:
+    """Return a memory, inputs (n, inputs) and targets (n, outputs), as compiled code reads it."""
+    return native.Table(Pairs(in_blocks(inputs), in_blocks(targets), np.array([len(inputs)])))
 
 
 def in_blocks(rows: NDArray[Any]) -> Floats:
@@ -64,8 +92,6 @@ def in_blocks(rows: NDArray[Any]) -> Floats:
     blocks = -(-count // BLOCK)
     filled = np.zeros((blocks * BLOCK, columns), dtype=np.float32)
     filled[:count] = rows
-    memory = np.empty(filled.size * GROUP * 4 + LINE, dtype=np.uint8)
-    start = -memory.ctypes.data % LINE
-    packed = memory[start:][: memory.size - LINE].view(np.float32).reshape(blocks, columns, BLOCK, GROUP)
+    packed = aligned((blocks, columns, BLOCK, GROUP))
     packed[:] = filled.reshape(blocks, BLOCK, columns).transpose(0, 2, 1)[..., np.newaxis]
     return packed

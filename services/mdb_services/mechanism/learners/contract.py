@@ -14,7 +14,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.evolution.genomes import in_blocks
+from mdb_services.mechanism.evolution.genomes import as_pairs
+from mdb_services.mechanism.evolution.layout import Pairs
+from mdb_services.mechanism.evolution.native import Table
 from mdb_services.mechanism.networks import streams
 from mdb_services.mechanism.networks.network import Floats, Network, Shape
 
@@ -31,9 +33,9 @@ class Memory:
     targets: Floats
 
     @cached_property
-    def blocks(self) -> tuple[Floats, Floats, int]:
-        """The same as compiled code reads it: inputs and targets in blocks, and the number of pairs."""
-        return in_blocks(self.inputs), in_blocks(self.targets), len(self.inputs)
+    def pairs(self) -> Table[Pairs]:
+        """The same as compiled code reads it."""
+        return as_pairs(self.inputs, self.targets)
 
 
 @dataclass(frozen=True)

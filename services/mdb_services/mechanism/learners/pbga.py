@@ -4,15 +4,14 @@ Owns one population, kept between calls (paper, section 2.3). Its generations ar
 in ``operators.py``, the errors in ``kernel.py``.
 """
 
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.evolution.generations import evolve
 from mdb_services.mechanism.evolution.genomes import embed
-from mdb_services.mechanism.evolution.operators import Settings
+from mdb_services.mechanism.evolution.population import Population
 from mdb_services.mechanism.learners.contract import Arrays, Layers, Learner, Memory
 from mdb_services.mechanism.networks import streams
 from mdb_services.mechanism.networks.network import Network, Shape, split_layers
@@ -29,17 +28,23 @@ class PromoterGA(Learner):
         """Draw the first population from the stream of (seed, name)."""
         super().__init__(shape, config.generations, seed, name)
         self.config = config
-        self._sizes = np.array(shape.sizes, dtype=np.int64)
         count = config.population
         random = streams.generator(seed, f"{name}/first population", 0)
         limit = config.weight_first
         self._weights = random.uniform(-limit, limit, (count, shape.weights)).astype(np.float32)
         self._promoters = (random.random((count, shape.units)) < config.expressed_first).astype(np.uint8)
         self._steps = np.full(count, config.step_first, dtype=np.float32)
-        self._children = tuple(np.zeros_like(array) for array in (self._weights, self._promoters, self._steps))
-        """For the next generation, while this one still has children."""
         self._errors, self._fitness = np.full(count, np.inf), np.full(count, np.inf)
-        self._settings = Settings(**{name: getattr(config, name) for name in Settings._fields})
+        self._population = self._as_population()
+
+    def _as_population(self) -> Population:
+        individuals = self._weights, self._promoters, self._steps
+        return Population(self.shape, self.config, individuals, self._errors, self._fitness)
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """See `Learner`."""
+        super().restore(state)
+        self._population = self._as_population()
 
     def network(self, individual: int) -> Network:
         """Return the network that an individual expresses."""
@@ -57,10 +62,7 @@ class PromoterGA(Learner):
         return [*layers, outwards[:, senders]]
 
     def _learn(self, memory: Memory, key: int, generations: range) -> None:
-        span = (generations.start, generations.stop)
-        populations = (self._weights, self._promoters, self._steps), self._children
-        data, settings = memory.blocks, self._settings
-        evolve(populations, self._errors, self._fitness, self._sizes, data, np.uint64(key), span, settings)
+        self._population.evolve(memory.pairs, key, generations)
 
     def _best(self) -> Layers:
         return self._expressed_by(int(self._fitness.argmin()))

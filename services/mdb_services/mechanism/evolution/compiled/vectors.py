@@ -9,17 +9,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import config, types
 from numba.core import cgutils
-from numba.core.codegen import get_host_cpu_features
-from numba.core.errors import TypingError
 
-ROW = 16
-"""Lanes of a row: as many numbers as a register of AVX-512 has."""
-
-_FEATURES = get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES  # type: ignore[attr-defined]
-WIDE = "+avx512f" in _FEATURES
-"""Whether the processor has AVX-512."""
+from mdb_services.mechanism.evolution.layout import ROW
 
 INDEX, WORD = ir.IntType(32), ir.IntType(64)
 BITS, BYTES = ir.VectorType(ir.IntType(1), ROW), ir.VectorType(ir.IntType(8), ROW)
@@ -89,13 +81,6 @@ def memory_of(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, l
     """Return an array's pointer and shape."""
     array = context.make_array(kind)(context, builder, value)
     return array.data, cgutils.unpack_tuple(builder, array.shape)
-
-
-def check_floats(**arrays: Any) -> None:
-    """Raise TypingError unless the types of arrays are contiguous float32."""
-    for name, kind in arrays.items():
-        if kind.dtype != types.float32 or kind.layout != "C":
-            raise TypingError(f"{name}: {kind}; expected float32, C-contiguous: np.ascontiguousarray(x, np.float32)")
 
 
 class Array:

@@ -15,12 +15,12 @@ of a whole row are drawn at once, in vectors.
 
 # ruff: noqa: PLR0917 - compiled functions take arrays by position
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from mdb_services.mechanism.evolution.compiling import compiled
-from mdb_services.mechanism.evolution.rows import (
+from mdb_services.mechanism.evolution.compiled.compiling import compiled
+from mdb_services.mechanism.evolution.compiled.rows import (
     GOLDEN,
     MIX,
     SUM_MEAN,
@@ -30,7 +30,7 @@ from mdb_services.mechanism.evolution.rows import (
     cross_units,
     write_weights,
 )
-from mdb_services.mechanism.evolution.vectors import ROW
+from mdb_services.mechanism.evolution.layout import Evolved, Numbers, Rates, Spaces
 
 _GOLDEN, (_MIX1, _MIX2) = np.uint64(GOLDEN), (np.uint64(factor) for _, factor in MIX)
 _1, _11, _16, _27, _30, _31, _32 = (np.uint64(n) for n in (1, 11, 16, 27, 30, 31, 32))
@@ -42,26 +42,6 @@ _SUM_MEAN, _SUM_SCALE = np.float32(SUM_MEAN), np.float32(SUM_SCALE)
 # Indices of an offspring's numbers; hidden and output units have one each, and so has each weight.
 _PARENTS, _CROSSOVER, _STEP, _STRUCTURE, _LAYER, _FLIP = range(6)
 _UNITS, _WEIGHTS = np.uint64(UNITS), np.uint64(WEIGHTS)
-
-
-class Settings(NamedTuple):
-    """The numbers of `settings.EvolutionConfig` that the compiled code needs."""
-
-    elite: int
-    parent_share: float
-    crossover_rate: float
-    mutation_rate: float
-    structural_rate: float
-    immigrant_share: float
-    expressed_first: float
-    weight_first: float
-    step_first: float
-    step_rate: float
-    step_min: float
-    step_max: float
-    weight_limit: float
-    weight_penalty: float
-    error_penalty: float
 
 
 @compiled
@@ -132,12 +112,12 @@ def mutate_structure(genes: Any, sizes: Any, start: Any) -> None:
 
 
 @compiled
-def immigrate(settings: Settings, start: Any, children: Any, genes: Any, child: int) -> None:
+def immigrate(rates: Rates, start: Any, children: Any, genes: Any, child: int) -> None:
     """Write an individual as the first population had them."""
     for place in range(np.uint64(children.shape[1])):
-        children[child, place] = (2.0 * uniform(draw(start, _WEIGHTS + place)) - 1.0) * settings.weight_first
+        children[child, place] = (2.0 * uniform(draw(start, _WEIGHTS + place)) - 1.0) * rates.weight_first
     for unit in range(np.uint64(genes.shape[1])):
-        genes[child, unit] = uniform(draw(start, _UNITS + unit)) < settings.expressed_first
+        genes[child, unit] = uniform(draw(start, _UNITS + unit)) < rates.expressed_first
 
 
 @compiled
@@ -155,29 +135,23 @@ def exponential(x: Any) -> Any:
 
 
 @compiled
-def new_step(one: Any, other: Any, settings: Settings, start: Any) -> Any:
+def new_step(one: Any, other: Any, rates: Rates, start: Any) -> Any:
     """Return a child's mutation step: the mean of its parents', on a logarithmic scale, changed a little."""
-    step = np.sqrt(one * other) * exponential(np.float32(settings.step_rate) * normal(draw(start, _STEP)))
-    return np.float32(min(max(step, settings.step_min), settings.step_max))
-
-
-@compiled
-def parents_of(settings: Settings, population: int) -> Any:
-    """Return how many of the best may become parents."""
-    return max(1, round(settings.parent_share * population))
+    step = np.sqrt(one * other) * exponential(np.float32(rates.step_rate) * normal(draw(start, _STEP)))
+    return np.float32(min(max(step, rates.step_min), rates.step_max))
 
 
 @compiled
 def breed(
     population: Any,
-    order: Any,
-    sizes: Any,
-    settings: Settings,
-    key: Any,
-    generation: int,
     children: Any,
+    task: Evolved,
+    numbers: Numbers,
+    rates: Rates,
+    generation: int,
     begin: int,
     end: int,
+    spaces: Spaces,
 ) -> None:
     """Write the children in the places from begin to end, but not in the elite's.
 
@@ -185,26 +159,23 @@ def breed(
     population and children: weights, promoters and steps.
     """
     (weights, promoters, steps), (new_weights, new_promoters, new_steps) = population, children
-    units, room = sizes[1:].sum(), sizes.sum() + 2 * ROW
-    genes, chosen, shares = np.ones(room, np.uint8), np.empty(room, np.uint8), np.zeros(room, np.float32)
-    places = np.empty(sizes.max(), np.uint64)
-    parents = parents_of(settings, steps.size)
-    immigrants = min(steps.size - settings.elite, round(settings.immigrant_share * steps.size))
-    threshold, limit = np.uint64(settings.mutation_rate * 2.0**32), np.float32(settings.weight_limit)
-    for place in range(max(begin, settings.elite), min(end, steps.size - immigrants)):
+    order, sizes, key, units = task.order, task.sizes, np.uint64(numbers.key), task.sizes[1:].sum()
+    genes, chosen, shares, places = spaces.genes, spaces.chosen, spaces.shares, spaces.places
+    threshold, limit = np.uint64(rates.mutation_rate * 2.0**32), np.float32(rates.weight_limit)
+    for place in range(max(begin, numbers.elite), min(end, steps.size - numbers.immigrants)):
         start = stream(key, generation, place)
         bits = draw(start, _PARENTS)
-        a, b = order[below(bits, parents)], order[below(bits >> _32, parents)]
-        if uniform(draw(start, _CROSSOVER)) >= settings.crossover_rate:
+        a, b = order[below(bits, numbers.parents)], order[below(bits >> _32, numbers.parents)]
+        if uniform(draw(start, _CROSSOVER)) >= rates.crossover_rate:
             b = a
-        step = new_step(steps[a], steps[b], settings, start)
+        step = new_step(steps[a], steps[b], rates, start)
         cross_units(promoters, a, b, start, threshold, units, genes, shares, chosen)
-        if uniform(draw(start, _STRUCTURE)) < settings.structural_rate:
+        if uniform(draw(start, _STRUCTURE)) < rates.structural_rate:
             mutate_structure(genes, sizes, start)
         write_weights(weights, a, b, sizes, genes, shares, chosen, start, step, limit, new_weights, place, places)
         new_steps[place] = step
         for unit in range(promoters.shape[1]):
             new_promoters[place, unit] = genes[unit]
-    for place in range(max(begin, steps.size - immigrants), end):
-        immigrate(settings, stream(key, generation, place), new_weights, new_promoters, place)
-        new_steps[place] = settings.step_first
+    for place in range(max(begin, steps.size - numbers.immigrants), end):
+        immigrate(rates, stream(key, generation, place), new_weights, new_promoters, place)
+        new_steps[place] = rates.step_first

@@ -24,10 +24,9 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
 
-from mdb_services.mechanism.evolution.compiling import compiled, emitted, inlined
-from mdb_services.mechanism.evolution.packing import (
+from mdb_services.mechanism.evolution.compiled.compiling import compiled, emitted, inlined
+from mdb_services.mechanism.evolution.compiled.packing import (
     FEW,
-    GROUP,
     Matrix,
     Plan,
     add_squared_weights,
@@ -36,33 +35,19 @@ from mdb_services.mechanism.evolution.packing import (
     pack,
     packed_layer,
 )
-from mdb_services.mechanism.evolution.vectors import (
+from mdb_services.mechanism.evolution.compiled.vectors import (
     INDEX,
-    ROW,
-    WIDE,
     WORD,
-    check_floats,
     loop,
     memory_of,
     moved,
     multiply_add,
     spread,
 )
-
-LANES = 16 if WIDE else 8
-"""Numbers in a vector: one register of AVX-512 or AVX, two of smaller processors."""
-
-VECTORS = 5 if LANES == 16 else 3
-"""Vectors taken through a layer together: with four units, as many sums as registers have room for."""
-
-BLOCK = LANES // GROUP * VECTORS
-"""Pairs of a block. Of the last one, vectors without any pair are left out."""
+from mdb_services.mechanism.evolution.layout import BLOCK, GROUP, LANES, VECTORS, Pairs, Spaces
 
 UNITS = (4, 2, 1)
 """Units taken through the pairs together: as many fours as there are, then what is left."""
-
-TANH_ERROR = 1e-4
-"""Bound of the absolute error of a hidden unit's tanh, over all float32 numbers."""
 
 # tanh(x) = x (A + (B u + C) / (u^2 + E)) with u = x^2 + D up to the limit, constant beyond (ours). Any quotient of
 # two quadratics in x^2 has this form, the one with the fewest instructions. Fitted for the least maximum of the error
@@ -70,8 +55,6 @@ TANH_ERROR = 1e-4
 _LIMIT = 5.0
 _A, _B, _C, _D, _E = 0.0517993160, 6.27023983, -32.7830391, 17.2101669, -216.933945
 
-LINE = 64
-"""Bytes of a cache line: a vector that lies across two is read twice."""
 _VECTOR = ir.VectorType(ir.FloatType(), LANES)
 
 
@@ -84,7 +67,7 @@ def _constant(number: float) -> Any:
 
 
 def _tanh(builder: Any, values: Sequence[Any]) -> list[Any]:
-    """Return tanh of one or two vectors, within `TANH_ERROR` and never beyond 1."""
+    """Return tanh of one or two vectors, within `layout.TANH_ERROR` and never beyond 1."""
     limit, least = _constant(_LIMIT), _constant(-_LIMIT)
     inside, over, under = [], [], []
     for x in values:
@@ -208,7 +191,6 @@ def _hidden_layer(
     inputs, BLOCK, GROUP); work (1, rows, BLOCK, GROUP): the units' signals go to their rows; those of the last hidden
     layer are weighted and added to the outputs' rows.
     """
-    check_floats(inputs=inputs, work=work)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kinds, (plan, firsts, layer, last, inputs, work, block, vectors) = signature.args, arguments
@@ -242,7 +224,6 @@ def _set_row(
     typingctx: Any, plan: Any, last: Any, output: Any, targets: Any, block: Any, work: Any, slot: Any
 ) -> Any:
     """Set an output's row of work to the bias minus the targets: what units send then makes it the misses."""
-    check_floats(work=work, targets=targets)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kinds, (plan, last, output, targets, block, work, slot) = signature.args, arguments
@@ -293,41 +274,30 @@ def _write(group: Any, sums: Any, divisor: int, results: Any) -> None:
 
 @compiled
 def population_errors(
-    weights: Any, promoters: Any, sizes: Any, inputs: Any, targets: Any, pairs: int, errors: Any, squares: Any
+    weights: Any, promoters: Any, sizes: Any, pairs: Pairs, errors: Any, squares: Any, spaces: Spaces
 ) -> None:
     """Write each genome's mean squared error over the pairs, and the sum of its squared weights that count.
 
-    weights (population, weights) float32; promoters (population, hidden units) uint8; sizes (layers,) int64;
-    inputs (blocks, inputs, BLOCK, GROUP) and targets (blocks, outputs, BLOCK, GROUP) float32 from
-    `genomes.in_blocks`; pairs is the number of true pairs, at least one; errors and squares (population,) float64.
-    Squares of size 0 are not written, which saves their time. Raises TypingError when weights, inputs or targets are
-    not contiguous float32.
+    weights (population, weights) float32; promoters (population, hidden units) uint8; sizes (layers,) int64; pairs,
+    at least one, have inputs (blocks, inputs, BLOCK, GROUP) and targets (blocks, outputs, BLOCK, GROUP) float32;
+    errors and squares (population,) float64. Squares of size 0 are not written, which saves their time.
     """
-    blocks, last, outputs, slots = inputs.shape[0], sizes.size - 1, targets.shape[1], sizes.sum()
-    columns, rows = np.zeros((2, sizes.size, GROUP, sizes.max() + ROW), np.int32)
-    own = np.zeros((sizes.size, GROUP), np.int64)
-    counts, starts, firsts = sizes.copy(), np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
-    firsts[1:], own[0], own[last] = np.cumsum(sizes[:-1]), sizes[0], sizes[last]
-    for genome in range(GROUP):
-        for output in range(outputs):
-            rows[last, genome, output] = output * (sizes[last - 1] + 1)
-    memory = np.empty((slots * BLOCK + weights.shape[1] + ROW) * GROUP + 2 * LINE // 4, np.float32)
-    start = -(memory.ctypes.data // 4) % (LINE // 4)
-    end = start + slots * BLOCK * GROUP
-    work = memory[start:end].reshape(1, slots, BLOCK, GROUP)
-    packed = memory[end + -(end - start) % (LINE // 4) :]
-    plan, genomes, order = Plan(counts, starts, packed), weights.reshape(-1), by_size(promoters)
-    group, bases, sums = np.empty(GROUP, np.int64), np.empty(GROUP, np.int64), np.empty(LANES, np.float32)
-    for first in range(0, order.size, GROUP):
+    inputs, targets, number = pairs.inputs, pairs.targets, pairs.count[0]
+    blocks, last, outputs, order = inputs.shape[0], sizes.size - 1, targets.shape[1], spaces.by_size
+    counts, starts, firsts, packed = spaces.counts, spaces.starts, spaces.firsts, spaces.packed
+    columns, rows, own, work = spaces.columns, spaces.rows, spaces.own, spaces.work
+    group, bases, sums, plan = spaces.group, spaces.bases, spaces.sums, Plan(counts, starts, packed)
+    by_size(promoters, spaces.expressed, spaces.bins, order)
+    for first in range(0, errors.size, GROUP):
         for genome in range(GROUP):
-            group[genome] = order[min(first + genome, order.size - 1)]
+            group[genome] = order[min(first + genome, errors.size - 1)]
             bases[genome] = group[genome] * weights.shape[1]
         find_expressed(promoters, sizes, group, columns, rows, own, counts)
-        pack(genomes, sizes, bases, columns, rows, own, counts, starts, packed)
+        pack(weights, sizes, bases, columns, rows, own, counts, starts, packed)
         for lane in range(LANES):
             sums[lane] = 0
         for block in range(blocks):
-            left = pairs - block * BLOCK
+            left = number - block * BLOCK
             for output in range(outputs):
                 _set_row(plan, last, output, targets, block, work, firsts[last] + output)
             for layer in range(1, last):
@@ -335,7 +305,7 @@ def population_errors(
                 _hidden_layer(plan, firsts, layer, last, inputs, work, block, vectors)
             for output in range(outputs):
                 _add_squares(work, firsts[last] + output, left, sums)
-        _write(group, sums, pairs * outputs, errors)
+        _write(group, sums, number * outputs, errors)
         if squares.size > 0:
             for lane in range(LANES):
                 sums[lane] = 0

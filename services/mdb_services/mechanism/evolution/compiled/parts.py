@@ -8,21 +8,13 @@ Nobody waits for a part that was not taken yet: a helper that the machine does n
 
 from typing import Any
 
-import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 
-from mdb_services.mechanism.evolution.compiling import compiled, emitted
-
-TAKEN, PUT_UP, DONE = 0, 8, 16
-"""Places of the counters of parts on a board, in cache lines of their own; what is put up is below 0 at the end."""
+from mdb_services.mechanism.evolution.compiled.compiling import compiled, emitted
+from mdb_services.mechanism.evolution.layout import DONE, PUT_UP, TAKEN
 
 _give_way = types.ExternalFunction("sched_yield", types.int32())
-
-
-def new_board() -> Any:
-    """Return a board without any work."""
-    return np.zeros(DONE + 8, np.int64)
 
 
 def _pointer(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

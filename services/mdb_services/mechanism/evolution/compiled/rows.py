@@ -14,18 +14,18 @@ import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 
-from mdb_services.mechanism.evolution.compiling import compiled, emitted, inlined
-from mdb_services.mechanism.evolution.vectors import (
+from mdb_services.mechanism.evolution.compiled.compiling import compiled, emitted, inlined
+from mdb_services.mechanism.evolution.compiled.vectors import (
     BITS,
     BYTES,
     FLOATS,
     INDICES,
-    ROW,
     Array,
     every,
     first_lanes,
     spread,
 )
+from mdb_services.mechanism.evolution.layout import ROW
 
 GOLDEN, MIX = 0x9E3779B97F4A7C15, ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
 """Of splitmix64."""

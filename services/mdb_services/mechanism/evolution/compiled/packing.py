@@ -9,21 +9,18 @@ Later code then reads a weight of each genome at once, and meets neither promote
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
 
-from mdb_services.mechanism.evolution.compiling import compiled, emitted
-from mdb_services.mechanism.evolution.vectors import (
+from mdb_services.mechanism.evolution.compiled.compiling import compiled, emitted
+from mdb_services.mechanism.evolution.compiled.vectors import (
     BYTES,
     FLOATS,
     INDEX,
     NUMBERS,
-    ROW,
     WORD,
     Array,
-    check_floats,
     compressed,
     every,
     first_lanes,
@@ -34,9 +31,7 @@ from mdb_services.mechanism.evolution.vectors import (
     multiply_add,
     spread,
 )
-
-GROUP = 4
-"""Genomes taken through the pairs together: in a vector, the numbers of a pair for each of them lie side by side."""
+from mdb_services.mechanism.evolution.layout import GROUP, ROW
 
 FEW = ir.VectorType(ir.FloatType(), GROUP)
 
@@ -148,7 +143,6 @@ def _pack_rows(
     width: Any,
 ) -> Any:
     """Pack all weights of the first expressed units of a layer; bases: as `pack` has them."""
-    check_floats(weights=weights, packed=packed)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         parts, (units, width) = _Packing(context, builder, signature.args, arguments[:6]), arguments[6:]
@@ -254,10 +248,14 @@ def add_squared_weights(typingctx: Any, plan: Any, layer: Any, sums: Any) -> Any
 
 
 @compiled
-def by_size(promoters: Any) -> Any:
-    """Return the individuals in the order of how many units they express: a group should have equals."""
+def by_size(promoters: Any, sizes: Any, starts: Any, order: Any) -> None:
+    """Write the order of individuals by how many units they express: a group should have equals.
+
+    sizes (population,) and starts (units + 2,): spaces to work in.
+    """
     population, units = promoters.shape
-    sizes, starts = np.empty(population, np.int64), np.zeros(units + 2, np.int64)
+    for size in range(units + 2):
+        starts[size] = 0
     for individual in range(population):
         size = 0
         for unit in range(units):
@@ -266,11 +264,9 @@ def by_size(promoters: Any) -> Any:
         starts[size + 1] += 1
     for size in range(units):
         starts[size + 1] += starts[size]
-    order = np.empty(population, np.int64)
     for individual in range(population):
         order[starts[sizes[individual]]] = individual
         starts[sizes[individual]] += 1
-    return order
 
 
 @compiled

@@ -1,0 +1,130 @@
+"""A population of genomes with promoters, as compiled code evolves it; threads help where there is much to do."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdb_services.mechanism.evolution import native
+from mdb_services.mechanism.evolution.layout import (
+    EVOLVE,
+    HELP,
+    PUT_UP,
+    Evolved,
+    Numbers,
+    Pairs,
+    Rates,
+    Spaces,
+    new_board,
+    spaces_for,
+)
+from mdb_services.mechanism.networks.network import Floats, Shape
+from mdb_services.mechanism.settings import EvolutionConfig
+
+THREADS = 4
+"""At most so many work on one population."""
+PART = 64
+"""Individuals that a thread takes at once."""
+MUCH = 1e7
+"""All weights of a population times the pairs, from which on threads help. It pays from a tenth of that on, but where
+a population is small, other processes have more use for the cores."""
+
+
+def _idle_cores() -> int:
+    """Return how many cores nobody uses: on another, a helper would be kept from its part while all wait for it."""
+    try:
+        running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
+    except OSError:
+        return 0  # another system, which does not say it in this way
+    return max(0, len(os.sched_getaffinity(0)) - int(running))
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """Return threads, which start when the first work is for them: after a process has forked."""
+    return ThreadPoolExecutor(THREADS - 1, "evolution")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_threads.cache_clear)  # a fork has none of them
+
+
+class Population:
+    """Weights (population, weights) float32, promoters (population, hidden units) uint8, steps (population,) float32.
+
+    errors and fitness (population,) float64 are those of the last memory. All are changed in place, so nobody may put
+    others in their stead.
+    """
+
+    def __init__(
+        self,
+        shape: Shape,
+        config: EvolutionConfig,
+        individuals: tuple[Floats, NDArray[np.uint8], Floats],
+        errors: NDArray[np.float64],
+        fitness: NDArray[np.float64],
+    ) -> None:
+        """Take the arrays; raises ValueError when one is not of its kind or size."""
+        count = len(errors)
+        sizes = [(count, shape.weights), (count, shape.units), (count,), (count,)]
+        if [array.shape for array in (*individuals, fitness)] != sizes:
+            raise ValueError(f"arrays of other sizes than those of {count} individuals of {shape}: {sizes}")
+        self._shape, self._count = shape, count
+        self._parents = max(1, round(config.parent_share * count))
+        self._config, self._immigrants = config, min(count - config.elite, round(config.immigrant_share * count))
+        weights, promoters, steps = individuals
+        self._board, self._numbers = new_board(), np.zeros(len(Numbers._fields), np.int64)
+        self._key = self._numbers[:1].view(np.uint64)
+        self._task = native.Table(
+            Evolved(
+                weights,
+                promoters,
+                steps,
+                np.zeros_like(weights),
+                np.zeros_like(promoters),
+                np.zeros_like(steps),
+                errors,
+                fitness,
+                order=np.zeros(count + 1, np.int64),
+                sizes=np.array(shape.sizes, np.int64),
+                numbers=self._numbers,
+                rates=np.array([getattr(config, name) for name in Rates._fields]),
+                board=self._board,
+            )
+        )
+        self._spaces = self._new_spaces()
+
+    def _new_spaces(self) -> native.Table[Spaces]:
+        return native.Table(spaces_for(self._shape.sizes, self._count, self._config.elite))
+
+    def evolve(self, pairs: native.Table[Pairs], key: int, generations: range, helpers: int | None = None) -> None:
+        """Evolve on pairs, of `genomes.as_pairs`, with as many inputs and targets as the networks have.
+
+        The generations are those of this memory. First everyone is measured on the present memory: an old fitness
+        says nothing once the memory changed. In a generation the best few stay, and offspring of the better part of
+        the population, all of whose members have the same chance, replace the others but for a few immigrants, if
+        their share comes to one: neutral operators cannot bring back what all have lost, say every unit of a layer.
+        helpers: how many threads help; as many as there are idle cores, if there is much to do, when it is not given.
+        """
+        if helpers is None:
+            much = self._count * self._shape.weights * pairs.arrays.count[0] >= MUCH
+            helpers = min(_idle_cores(), THREADS - 1) if much else 0
+        part, config = PART if helpers else self._count, self._config
+        self._key[0] = key
+        self._numbers[1:] = generations.start, len(generations), part, config.elite, self._parents, self._immigrants
+        self._board[:] = 0
+        native.load()
+        futures = []
+        try:
+            with suppress(RuntimeError):  # there are no threads to be had
+                for _ in range(helpers):
+                    futures.append(_threads().submit(native.run, self._task, pairs, self._new_spaces(), HELP))
+            native.run(self._task, pairs, self._spaces, EVOLVE)
+        finally:
+            self._board[PUT_UP] = -1
+            if futures:
+                wait(futures)
