@@ -87,10 +87,10 @@ class Progress:
             self._obeyed.append(obeyed)
         for name, error in report.prequential.items():
             self._prequential.setdefault(name, deque(maxlen=RECENT)).append(error)
-        self._bar.update(self._task, completed=self._done)
-        if not self._console.is_terminal and self._done * LINES // self._iterations > self._lines:
-            self._lines = self._done * LINES // self._iterations
-            self._console.print(f"iteration {self._done}/{self._iterations}  {self._words()}", soft_wrap=True)
+        if (lines := self._done * LINES // self._iterations) > self._lines:
+            self._lines = lines
+            if not self._console.is_terminal:
+                self._console.print(f"iteration {self._done}/{self._iterations}  {self._words()}", soft_wrap=True)
 
     def scene(self, scene: Scene) -> None:
         """A scene is seen; not each is, where they follow fast."""
@@ -124,6 +124,7 @@ class Progress:
     def _render(self) -> Group:
         if not self._done:
             return Group(Text(f"starting: {', '.join(self._ready) or '...'}"))
+        self._bar.update(self._task, completed=self._done)
         paused = "   paused by an operator" if self._paused else ""
         memory = "  ".join(f"{name} {error:.3f}" for name, error in sorted(self._errors.items()))
         return Group(

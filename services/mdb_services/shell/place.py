@@ -15,12 +15,12 @@ class Place:
 
     def __init__(self, path: Path) -> None:
         """Note what is at `path`; OSError when nothing is."""
-        self._path = path
+        self._path = os.fspath(path)
         self._folder = path if path.is_dir() else path.parent
         self._was = self._identity()
 
     def _identity(self) -> tuple[int, int]:
-        found = self._path.stat()
+        found = os.stat(self._path)  # noqa: PTH116 - half the time of the path's own, at each flush
         return found.st_dev, found.st_ino
 
     def check(self) -> None:
@@ -28,8 +28,8 @@ class Place:
         try:
             same = self._identity() == self._was
         except OSError as error:
-            raise OSError(error.errno, "gone: deleted or moved away", str(self._path)) from error
+            raise OSError(error.errno, "gone: deleted or moved away", self._path) from error
         if not same:
-            raise OSError(errno.ESTALE, "gone; something else is in its place", str(self._path))
+            raise OSError(errno.ESTALE, "gone; something else is in its place", self._path)
         if not os.access(self._folder, os.W_OK):
             raise OSError(errno.EROFS, "read-only", str(self._folder))

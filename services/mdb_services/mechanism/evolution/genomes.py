@@ -92,6 +92,7 @@ def in_blocks(rows: NDArray[Any]) -> Floats:
     blocks = -(-count // BLOCK)
     filled = np.zeros((blocks * BLOCK, columns), dtype=np.float32)
     filled[:count] = rows
-    packed = aligned((blocks, columns, BLOCK, GROUP))
-    packed[:] = filled.reshape(blocks, BLOCK, columns).transpose(0, 2, 1)[..., np.newaxis]
+    once, packed = filled.reshape(blocks, BLOCK, columns).transpose(0, 2, 1), aligned((blocks, columns, BLOCK, GROUP))
+    for place in range(GROUP):
+        packed[..., place] = once
     return packed

@@ -1,5 +1,6 @@
 """What Python and the compiled code agree on: the processor, how pairs lie in memory, which arrays are passed."""
 
+import math
 import os
 from collections.abc import Sequence
 from itertools import pairwise
@@ -178,13 +179,12 @@ def new_board() -> NDArray[np.int64]:
     return np.zeros(DONE + 8, np.int64)
 
 
-def aligned(shape: int | tuple[int, ...], kind: type[np.generic] = np.float32, value: float = 0) -> NDArray[Any]:
-    """Return an array of a value that begins with a cache line."""
-    kept = np.empty(np.prod(shape, dtype=np.int64) * np.dtype(kind).itemsize + LINE, np.uint8)
-    start = -kept.ctypes.data % LINE
-    array: NDArray[Any] = kept[start : len(kept) - LINE + start].view(kind).reshape(shape)
-    array[...] = value
-    return array
+def aligned(shape: tuple[int, ...], kind: Any = np.float32) -> NDArray[Any]:
+    """Return an array that begins with a cache line; what it holds is not set."""
+    size = math.prod(shape) * np.dtype(kind).itemsize
+    memory = np.empty(size + LINE, np.uint8)
+    start = -memory.ctypes.data % LINE
+    return memory[start : start + size].view(kind).reshape(shape)
 
 
 def spaces_for(sizes: Sequence[int], population: int, elite: int = 0) -> Spaces:
@@ -193,26 +193,28 @@ def spaces_for(sizes: Sequence[int], population: int, elite: int = 0) -> Spaces:
     genes, weights = total + 2 * ROW, sum((before + 1) * after for before, after in pairwise(sizes))
     kinds = KINDS[Spaces]
     shapes: dict[str, Any] = {
-        "genes": genes,
-        "chosen": genes,
-        "shares": genes,
-        "places": most,
+        "genes": (genes,),
+        "chosen": (genes,),
+        "shares": (genes,),
+        "places": (most,),
         "columns": (layers, GROUP, most + ROW),
         "rows": (layers, GROUP, most + ROW),
         "own": (layers, GROUP),
-        "counts": layers,
-        "starts": layers,
-        "firsts": layers,
+        "counts": (layers,),
+        "starts": (layers,),
+        "firsts": (layers,),
         "work": (1, total, BLOCK, GROUP),
-        "packed": (weights + ROW) * GROUP,
-        "bins": sum(sizes[1:-1]) + 2,
+        "packed": ((weights + ROW) * GROUP,),
+        "bins": (sum(sizes[1:-1]) + 2,),
         "few": (2, elite),
-        "group": GROUP,
-        "bases": GROUP,
-        "sums": LANES,
+        "group": (GROUP,),
+        "bases": (GROUP,),
+        "sums": (LANES,),
     }
-    of_all = population + 1
+    of_all = (population + 1,)
     spaces = Spaces(**{name: aligned(shapes.get(name, of_all), kind) for name, (kind, _) in kinds.items()})
+    for space in spaces:
+        space[...] = 0
     spaces.genes[:] = 1  # of inputs, for ever
     spaces.rows[last, :, : sizes[last]] = np.arange(sizes[last]) * (sizes[last - 1] + 1)
     spaces.own[0], spaces.own[last], spaces.counts[:] = sizes[0], sizes[last], sizes
