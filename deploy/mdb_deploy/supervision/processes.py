@@ -236,11 +236,13 @@ def _memory(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:
 
 def _evolver(bus: Bus, experiment: Experiment, model: str | None) -> Service:
     from mdb_services.evolver import Evolver
+    from mdb_services.mechanism.evolution import threads
 
     if model is None:
         names = ", ".join(m.name for m in experiment.brain.model)
         raise ConfigError(f"an evolver needs --model; this experiment has {names}")
     evolver = Evolver(bus, experiment.brain, model)
+    threads.lend()
     os.nice(EVOLVER_NICE)  # from now on: one that comes back after its death is soon there
     return evolver
 

@@ -20,7 +20,7 @@ class Place:
         self._was = self._identity()
 
     def _identity(self) -> tuple[int, int]:
-        found = os.stat(self._path)  # noqa: PTH116 - half the time of the path's own, at each flush
+        found = os.stat(self._path)
         return found.st_dev, found.st_ino
 
     def check(self) -> None:

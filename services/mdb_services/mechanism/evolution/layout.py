@@ -184,7 +184,8 @@ def aligned(shape: tuple[int, ...], kind: Any = np.float32) -> NDArray[Any]:
     size = math.prod(shape) * np.dtype(kind).itemsize
     memory = np.empty(size + LINE, np.uint8)
     start = -memory.ctypes.data % LINE
-    return memory[start : start + size].view(kind).reshape(shape)
+    array: NDArray[Any] = memory[start : start + size].view(kind).reshape(shape)
+    return array
 
 
 def spaces_for(sizes: Sequence[int], population: int, elite: int = 0) -> Spaces:

@@ -1,15 +1,9 @@
 """A population of genomes with promoters, as compiled code evolves it; threads help where there is much to do."""
 
-import os
-from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import suppress
-from functools import cache
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
-from mdb_services.mechanism.evolution import native
+from mdb_services.mechanism.evolution import native, threads
 from mdb_services.mechanism.evolution.layout import (
     EVOLVE,
     HELP,
@@ -25,32 +19,11 @@ from mdb_services.mechanism.evolution.layout import (
 from mdb_services.mechanism.networks.network import Floats, Shape
 from mdb_services.mechanism.settings import EvolutionConfig
 
-THREADS = 4
-"""At most so many work on one population."""
 PART = 64
 """Individuals that a thread takes at once."""
 MUCH = 1e7
 """All weights of a population times the pairs, from which on threads help. It pays from a tenth of that on, but where
 a population is small, other processes have more use for the cores."""
-
-
-def _idle_cores() -> int:
-    """Return how many cores nobody uses: on another, a helper would be kept from its part while all wait for it."""
-    try:
-        running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
-    except OSError:
-        return 0  # another system, which does not say it in this way
-    return max(0, len(os.sched_getaffinity(0)) - int(running))
-
-
-@cache
-def _threads() -> ThreadPoolExecutor:
-    """Return threads, which start when the first work is for them: after a process has forked."""
-    return ThreadPoolExecutor(THREADS - 1, "evolution")
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_threads.cache_clear)  # a fork has none of them
 
 
 class Population:
@@ -112,19 +85,16 @@ class Population:
         """
         if helpers is None:
             much = self._count * self._shape.weights * pairs.arrays.count[0] >= MUCH
-            helpers = min(_idle_cores(), THREADS - 1) if much else 0
+            helpers = threads.idle() if much else 0
         part, config = PART if helpers else self._count, self._config
         self._key[0] = key
         self._numbers[1:] = generations.start, len(generations), part, config.elite, self._parents, self._immigrants
         self._board[:] = 0
         native.load()
-        futures = []
+        others = [(native.run, self._task, pairs, self._new_spaces(), HELP) for _ in range(helpers)]
+        helping = [helper for other in others for helper in threads.helping(1, *other)]
         try:
-            with suppress(RuntimeError):  # there are no threads to be had
-                for _ in range(helpers):
-                    futures.append(_threads().submit(native.run, self._task, pairs, self._new_spaces(), HELP))
             native.run(self._task, pairs, self._spaces, EVOLVE)
         finally:
             self._board[PUT_UP] = -1
-            if futures:
-                wait(futures)
+            threads.finish(helping)

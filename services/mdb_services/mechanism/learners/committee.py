@@ -7,17 +7,22 @@ units of all members stand side by side, so that whoever uses a current model ne
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mdb_services.mechanism.evolution.threads import together
 from mdb_services.mechanism.learners.contract import Arrays, Layers, Learner, Memory, error_of
 from mdb_services.mechanism.networks import streams
 from mdb_services.mechanism.networks.network import Floats, Network, Shape, split_layers
 
+WORTH_S = 0.001
+"""What takes the members longer is shared among threads: what one learns depends on none of the others."""
 ON = 20.0
 """The hyperbolic tangent of this is 1 in single precision."""
 
@@ -41,16 +46,27 @@ class Committee(Learner):
         self._members = tuple(members)
         self._waiting = np.zeros((0, self.shape.weights), np.float32)
         """Seeds (n, weights) that are better than the mean, or were not measured yet; the best is first."""
+        self._took_s = [0.0] * len(members)
+        """How long each member took for the last memory."""
 
     def _learn(self, memory: Memory, key: int, generations: range) -> None:
-        for place, member in enumerate(self._members):
-            member._learn(memory, streams.key(key, f"member {place}"), generations)
+        lessons = [partial(self._teach, place, memory, key, generations) for place in range(len(self._members))]
+        if self._members[0].compiled and sum(self._took_s) > WORTH_S:
+            together(lessons)
+        else:
+            for lesson in lessons:
+                lesson()
         if not len(self._waiting):
             return
         limit = error_of(Network(self._mean()), memory.inputs, memory.targets)
         seeds = [Network.from_arrays(self.shape.sizes, weights) for weights in self._waiting]
         errors = [error_of(seed, memory.inputs, memory.targets) for seed in seeds]
         self._waiting = self._waiting[[place for place in np.argsort(errors) if errors[place] < limit]]
+
+    def _teach(self, place: int, memory: Memory, key: int, generations: range) -> None:
+        began_s = time.perf_counter()
+        self._members[place]._learn(memory, streams.key(key, f"member {place}"), generations)
+        self._took_s[place] = time.perf_counter() - began_s
 
     def _mean(self) -> Layers:
         return mean([member._best() for member in self._members], self._room)

@@ -65,6 +65,8 @@ class Learner(ABC):
     unmeasured: ClassVar[tuple[str, ...]] = ()
     """Those that may hold infinity: what was not yet measured."""
     lists: ClassVar[tuple[str, ...]] = ()
+    compiled: ClassVar[bool] = False
+    """Whether `_learn` is nearly all compiled code, without Python's lock."""
     """Those that may have any number of rows."""
 
     def __init__(self, shape: Shape, generations: int, seed: int, name: str) -> None:

@@ -23,6 +23,7 @@ class PromoterGA(Learner):
 
     arrays: ClassVar = ("weights", "promoters", "steps", "errors", "fitness")
     unmeasured: ClassVar = ("errors", "fitness")
+    compiled: ClassVar = True
 
     def __init__(self, shape: Shape, config: EvolutionConfig, seed: int, name: str) -> None:
         """Draw the first population from the stream of (seed, name)."""
