@@ -179,7 +179,7 @@ class Tap(Reader):
 
     def put(self, raw: Raw) -> None:
         """Hand over a sample; called by the transport."""
-        row = find(self._brain, raw.key)
+        row, raw.came_ns = find(self._brain, raw.key), time.time_ns()
         path = row.path if row is not None else TAPPED
         size = size_of(raw)
         if row is not None and size > row.most_bytes:

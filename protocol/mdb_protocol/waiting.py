@@ -23,6 +23,8 @@ class Raw:
     encoding: str
     message: Message | None = field(default=None, init=False, compare=False, repr=False)
     """What is in it, once somebody has read it; see `bus.read`."""
+    came_ns: int = field(default=0, init=False, compare=False, repr=False)
+    """When it came to a tap, in nanoseconds since 1970."""
 
 
 def size_of(raw: Raw) -> int:

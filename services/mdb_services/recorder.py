@@ -28,7 +28,7 @@ from mdb_protocol.messages import Finished, Message
 from mdb_protocol.waiting import Raw
 from mdb_services import log_records
 from mdb_services.experiment.run_folder import EXPERIMENT_FILE
-from mdb_services.shell.place import Place
+from mdb_services.shell.place import LOOKED_S, Place
 
 log = structlog.get_logger()
 
@@ -68,14 +68,21 @@ class Recorder:
     role, instance = ROLE, "log"
 
     def __init__(
-        self, bus: Bus, run: Path, clock: Callable[[], float] = time.monotonic, *, keep_bytes: int | None = None
+        self,
+        bus: Bus,
+        run: Path,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        keep_bytes: int | None = None,
+        gather_s: float = 0.0,
     ) -> None:
         """Begin the next segment of the run's log; a restarted recorder never writes into an old one.
 
         keep_bytes: of the log only the newest so many are kept, in whole segments, each with its index; None: all.
+        gather_s: what comes within so many seconds is written together, which is cheaper.
         """
         self.bus = bus
-        self._keep_bytes = keep_bytes
+        self._keep_bytes, self._gather_s = keep_bytes, gather_s
         self._run, self._clock = run, clock
         self._count = self._bytes = self._lost = 0
         self._unflushed = 0
@@ -91,7 +98,7 @@ class Recorder:
         """Begin a segment; OSError when the disk does not take its head, and then there is none."""
         path = next_segment(self._run)
         self._file = path.open("xb")
-        self._place = Place(path)
+        self._place = Place(path, LOOKED_S)
         try:
             self._writer = Writer(self._file, use_chunking=False)
             self._writer.start(profile="mdb", library=f"mdb protocol {codec.VERSION}")
@@ -114,11 +121,13 @@ class Recorder:
     def step(self) -> bool:
         """Write what has come."""
         moved = False
+        if self._gather_s and len(self._tap.waiting):
+            time.sleep(self._gather_s)
         for raw in self._tap.some():
             if (message := self._read(raw)) is not None:
                 self._try(lambda raw=raw, message=message: self._write(raw, message))  # type: ignore[misc]
             moved = True
-        if self._unflushed:  # a kill then costs what has not come to this process yet, and nothing more
+        if self._unflushed:  # a kill then costs what came in this step, or not yet, and nothing more
             self._try(self._flush)
         return moved
 
@@ -175,11 +184,11 @@ class Recorder:
             self._begin()
             self._forget()
         known = raw.encoding == codec.encoding_of(type(message))  # a later version may say more
-        text, now = as_json.encode(message, None if known else raw.payload), time.time_ns()
+        text = as_json.encode(message, None if known else raw.payload)
         self._unflushed += 1
         self._finished = isinstance(message, Finished)
         channel = self._channels.of(raw.key, type(message), raw.encoding)
-        self._writer.add_message(channel, now, text, now, sequence=self._count)
+        self._writer.add_message(channel, raw.came_ns, text, raw.came_ns, sequence=self._count)
         self._count += 1
         self._bytes += len(text)
 

@@ -57,8 +57,10 @@ def test_another_folder_in_its_place_is_not_it(folder: Path) -> None:
 def test_a_file_that_was_deleted_is_not_written_to_any_more(folder: Path) -> None:
     file = folder / "memory.sqlite"
     file.touch()
-    place = Place(file)
+    place, patient = Place(file), Place(file, 60.0)
     place.check()
+    patient.check()
     shutil.rmtree(folder)
+    patient.check()  # it has looked a moment ago
     with pytest.raises(FileNotFoundError, match="deleted or moved away"):
         place.check()

@@ -85,7 +85,8 @@ def test_a_disk_that_takes_a_part_only_is_told_of_and_costs_nothing_that_it_took
     assert StateFile(path).read() == state(4)
 
 
-def test_a_folder_that_is_away_is_told_of_until_it_is_back(path: Path) -> None:
+def test_a_folder_that_is_away_is_told_of_until_it_is_back(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(state_file, "LOOKED_S", 0.0)
     file, away = StateFile(path), path.parent.with_name("away")
     file.write(state(0))
     path.parent.rename(away)

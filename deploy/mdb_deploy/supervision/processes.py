@@ -36,6 +36,9 @@ ROUTER_CONFIG = shipped("router.json5")
 ENDPOINT_FILE = "router.endpoint"
 EVOLVER_NICE = 5
 """Learning gives way to acting when both want the same core."""
+GATHER_S = 0.003
+"""The recorder lets as much time pass before it writes: those who act have the processor first, and a log's messages
+come in bursts. Their times are those at which they came."""
 EVOLVER = "evolver"
 INSTANCES = {
     "recorder": "log", "memory": "store", "optimizer": "action", "robot": "body", "teacher": "script", "ear": "notes",
@@ -219,7 +222,7 @@ def run_service(name: str, options: ServiceOptions, stop: Stopper, heart: Heart)
 def _recorder(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:
     from mdb_services.recorder import Recorder
 
-    return Recorder(bus, run_folder, keep_bytes=experiment.brain.log.keep_bytes)
+    return Recorder(bus, run_folder, keep_bytes=experiment.brain.log.keep_bytes, gather_s=GATHER_S)
 
 
 def _memory(bus: Bus, experiment: Experiment, run_folder: Path) -> Service:

@@ -318,6 +318,7 @@ class Optimizer:
             acted, pair, judging.outcome, prequential(acted.models, pair)
         )  # first: of what is stored it is out
         self._outbox.send(pair, self._clock())
+        self._tell_times(acted)
         self._next = pair.iteration + 1
         self._verdicts.remember(pair, self._next)
         self._enter(Deciding(perception=judging.outcome, started_s=judging.outcome_s, begun_s=self._clock()))
@@ -344,9 +345,11 @@ class Optimizer:
                 holder=acted.meant.holder,
             )
         )
+
+    def _tell_times(self, acted: Acting) -> None:
         self._timings.put(
             messages.Timing(
-                iteration=pair.iteration,
+                iteration=acted.iteration,
                 perception_to_action_s=acted.acted_s - acted.started_s,
                 cycle_s=self._clock() - acted.started_s,
             )

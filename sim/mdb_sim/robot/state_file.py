@@ -15,7 +15,7 @@ import structlog
 
 from mdb_protocol import codec, files, messages
 from mdb_protocol.errors import DamageError, DecodeError
-from mdb_services.shell.place import Place
+from mdb_services.shell.place import LOOKED_S, Place
 from mdb_services.shell.whole_file import write_whole
 
 ADDED_BYTES = 2**18
@@ -59,7 +59,7 @@ class StateFile:
             self.close()
             write_whole(self._path, payload, power_safe=self._power_safe)
             if not self._power_safe:
-                self._open = FileIO(self._path, "ab"), Place(self._path)
+                self._open = FileIO(self._path, "ab"), Place(self._path, LOOKED_S)
             return
         file, place = self._open
         try:
