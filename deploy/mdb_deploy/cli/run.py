@@ -152,7 +152,7 @@ def _follow(arguments: argparse.Namespace) -> int:
 def _warm_up(_: argparse.Namespace) -> int:
     from mdb_services.mechanism.evolution import native
 
-    sys.stderr.write("compiling the evolvers' kernels once (about half a minute)\n")
+    sys.stderr.write("compiling the evolvers' kernels once (about a quarter of a minute)\n")
     began_s = time.monotonic()
     native.load()
     sys.stderr.write(f"compiled in {time.monotonic() - began_s:.0f} s\n")

@@ -132,7 +132,8 @@ class Watch:
         self._bus = self.bus = bus
         hold(bus, self.role, self.instance)
         self._meter = announce(self, self.run)
-        self._perceptions = bus.subscriber(keys.PERCEPTION)
+        if self._awaited:
+            self._perceptions = bus.subscriber(keys.PERCEPTION)
         self._reports = bus.subscriber(keys.ITERATION)
         self._scenes = bus.subscriber(keys.SCENE)
         self._phases = bus.subscriber(keys.PHASE)

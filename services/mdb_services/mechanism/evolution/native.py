@@ -25,6 +25,7 @@ from mdb_services.mechanism.evolution.layout import (
     Spaces,
 )
 
+_HERE = Path(__file__).parent
 _Arrays = TypeVar("_Arrays", bound=tuple[Any, ...])
 
 
@@ -93,7 +94,7 @@ def _machine() -> Any:
 
 def _name() -> str:
     """Return a name that is another one when the code would be."""
-    files = b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.rglob("*.py")))
+    files = b"".join(file.read_bytes() for file in sorted([_HERE / "layout.py", *(_HERE / "compiled").glob("*.py")]))
     made_by = f"{version('numba')} {llvm.llvm_version_info} {PROCESSOR} {FEATURES}"
     return f"evolution-{zlib.crc32(files):08x}{zlib.crc32(made_by.encode()):08x}.code"
 

@@ -47,10 +47,12 @@ class Population:
         if [array.shape for array in (*individuals, fitness)] != sizes:
             raise ValueError(f"arrays of other sizes than those of {count} individuals of {shape}: {sizes}")
         self._shape, self._count = shape, count
-        self._parents = max(1, round(config.parent_share * count))
-        self._config, self._immigrants = config, min(count - config.elite, round(config.immigrant_share * count))
+        self._elite, self._all_weights = config.elite, count * shape.weights
+        parents = max(1, round(config.parent_share * count))
+        immigrants = min(count - config.elite, round(config.immigrant_share * count))
         weights, promoters, steps = individuals
-        self._board, self._numbers = new_board(), np.zeros(len(Numbers._fields), np.int64)
+        self._board = new_board()
+        self._numbers = np.array(Numbers(0, 0, 0, count, config.elite, parents, immigrants))
         self._key = self._numbers[:1].view(np.uint64)
         self._task = native.Table(
             Evolved(
@@ -72,7 +74,7 @@ class Population:
         self._spaces = self._new_spaces()
 
     def _new_spaces(self) -> native.Table[Spaces]:
-        return native.Table(spaces_for(self._shape.sizes, self._count, self._config.elite))
+        return native.Table(spaces_for(self._shape.sizes, self._count, self._elite))
 
     def evolve(self, pairs: native.Table[Pairs], key: int, generations: range, helpers: int | None = None) -> None:
         """Evolve on pairs, of `genomes.as_pairs`, with as many inputs and targets as the networks have.
@@ -84,11 +86,9 @@ class Population:
         helpers: how many threads help; as many as there are idle cores, if there is much to do, when it is not given.
         """
         if helpers is None:
-            much = self._count * self._shape.weights * pairs.arrays.count[0] >= MUCH
-            helpers = threads.idle() if much else 0
-        part, config = PART if helpers else self._count, self._config
+            helpers = threads.idle() if self._all_weights * pairs.arrays.count[0] >= MUCH else 0
         self._key[0] = key
-        self._numbers[1:] = generations.start, len(generations), part, config.elite, self._parents, self._immigrants
+        self._numbers[1:4] = generations.start, len(generations), PART if helpers else self._count
         self._board[:] = 0
         native.load()
         others = [(native.run, self._task, pairs, self._new_spaces(), HELP) for _ in range(helpers)]
