@@ -125,6 +125,22 @@ def test_a_restarted_recorder_writes_the_next_segment(tmp_path: Path) -> None:
     assert rig.read() == [("pair", i) for i in range(12)]
 
 
+def test_what_comes_in_a_burst_is_written_together_with_the_times_at_which_it_came(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fabric, now_ns = Fabric(), iter(range(10**9, 10**12, 10**9))
+    monkeypatch.setattr("mdb_protocol.bus.time.time_ns", lambda: next(now_ns))
+    world, recorder = MemoryBus(fabric, BRAIN), Recorder(MemoryBus(fabric, BRAIN), tmp_path, gather_s=0.003)
+    pairs = world.publisher(keys.PAIR)
+    pairs.put(pair(1))
+    monkeypatch.setattr("mdb_services.recorder.time.sleep", lambda _: pairs.put(pair(2)))  # while it gathers
+    assert recorder.step()
+    monkeypatch.undo()
+    recorder.close()
+    found = [(r.message.iteration, r.time_s) for r in read_log(tmp_path)]
+    assert found == [(1, 1.0), (2, 2.0)]
+
+
 def test_a_segment_that_someone_deleted_is_no_obstacle(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     for i in range(3):

@@ -152,7 +152,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "2.3",
         "Fitness: the error between predicted and real values of the pairs.",
         "adapted",
-        f"`{MECHANISM}/evolution/kernel.py`; every individual anew on every version of the memory, "
+        f"`{MECHANISM}/evolution/compiled/kernel.py`; every individual anew on every version of the memory, "
         "and the penalties on great weights, are ours",
     ),
     Statement(
@@ -267,7 +267,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3",
         "Models are multilayer perceptrons evolved by a promoter-based genetic algorithm.",
         "adapted",
-        f"`{MECHANISM}/evolution/operators.py`. After its reference 14; the operators in detail are ours.",
+        f"`{MECHANISM}/evolution/compiled/operators.py`. After its reference 14; the operators in detail are ours.",
     ),
     Statement(
         "3",
