@@ -40,7 +40,7 @@ def test_without_any_place_it_is_compiled_each_time() -> None:
 
 
 @pytest.mark.edge("caches are optional", "what was kept is damaged: emptied, cut short, other bytes")
-@pytest.mark.parametrize("damaged", [b"", b"\x80\x04", b"nothing of ours", CODE])
+@pytest.mark.parametrize("damaged", [b"", b"\x80\x04", bytes(4), b"nothing of ours", CODE])
 def test_what_is_damaged_is_as_if_it_were_not_kept(damaged: bytes, cache: Kept) -> None:
     cache.write(CODE)
     whole = cache.places[0].read_bytes()

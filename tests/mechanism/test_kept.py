@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import platform
 import subprocess
 import sys
 import threading
@@ -22,10 +23,10 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Kept:
     return Kept("evolution-1.code")
 
 
-def python(code: str, **variables: str) -> subprocess.CompletedProcess[str]:
+def python(code: str, bound_s: float = 110.0, **variables: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": ":".join(filter(None, sys.path))} | variables
     command = [sys.executable, "-c", code]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=110.0, check=False)
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=bound_s, check=False)
 
 
 def test_who_may_not_compile_says_that_nothing_is_kept(tmp_path: Path) -> None:
@@ -71,3 +72,20 @@ def test_who_compiles_and_is_frozen_is_not_waited_for_without_end(
         fcntl.flock(lock, fcntl.LOCK_EX)
         with cache.alone():
             assert cache.read() == CODE
+
+
+@pytest.mark.long
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="names processors of this kind")
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("processor", ["haswell +avx2,+fma,+avx,+sse4.2,+sse2,+bmi2,+popcnt", "generic"])
+def test_on_processors_with_narrower_vectors_all_is_the_same(processor: str, tmp_path: Path) -> None:
+    name, _, features = processor.partition(" ")
+    variables = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_CPU_NAME": name}
+    if features:
+        variables["NUMBA_CPU_FEATURES"] = features
+    files = [str(Path(__file__).with_name(name)) for name in ("test_kernel.py", "test_operators.py")]
+    words = ["-q", "-p", "no:cacheprovider", "-k", "kernel or threads", *files]
+    code = f"import sys, pytest; sys.exit(pytest.main({words}))"
+    done = python(code, 280.0, **variables)
+    assert done.returncode == 0, done.stdout
+    assert [path.suffix for path in tmp_path.iterdir() if path.suffix == ".code"] == [".code"]

@@ -135,6 +135,16 @@ def test_threads_that_share_a_population_by_rows_give_the_same_bits() -> None:
     assert np.array_equal(np.concatenate([squares for _, squares in parts]), squares)
 
 
+def test_a_genome_s_error_depends_on_no_other_genome() -> None:
+    shape = Shape(8, (32, 16, 9), 1)
+    weights, promoters, inputs, targets = case(shape, 37, 1, population=200)
+    whole, squares = measured(weights, promoters, shape, inputs, targets)
+    for place in range(len(weights)):
+        one = slice(place, place + 1)
+        error, square = measured(weights[one], promoters[one], shape, inputs, targets)
+        assert (error[0], square[0]) == (whole[place], squares[place])
+
+
 def test_without_room_for_squares_the_errors_are_the_same() -> None:
     shape = Shape(3, (6,), 2)
     weights, promoters, inputs, targets = case(shape, 33, 1)

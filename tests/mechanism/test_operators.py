@@ -1,6 +1,7 @@
 """Expected numbers are compared with means over many samples, within four standard errors unless said otherwise."""
 
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from itertools import pairwise
 from time import sleep
 
@@ -24,6 +25,7 @@ SHAPES = [
     Shape(2, (5, 18, 3), 2),
     Shape(15, (16,), 1),
     Shape(1, (33, 35), 17),
+    Shape(8, (32, 16, 9), 1),
 ]
 
 
@@ -300,6 +302,31 @@ def test_threads_that_share_a_population_give_the_same_bits(shape: Shape, genera
     alone, shared = (evolved(shape, config, generations, helpers=helpers) for helpers in (0, 2))
     for left, right in zip(alone, shared, strict=True):
         assert np.array_equal(left, right)
+
+
+def test_a_copy_of_a_learner_learns_the_same_and_leaves_the_other_alone() -> None:
+    random = np.random.default_rng(0)
+    rows = random.normal(size=(30, 3)).astype(np.float32), random.normal(size=(30, 2)).astype(np.float32)
+    learner = PromoterGA(Shape(3, (5,), 2), EvolutionConfig(population=30), 0, "test")
+    learner.learn(*rows, version=0)
+    before, copied = learner.state(), deepcopy(learner)
+    errors = [copied.learn(*rows, version=1).error]
+    assert all(np.array_equal(array, before[name]) for name, array in learner.state().items())
+    errors.append(learner.learn(*rows, version=1).error)
+    assert errors[0] == errors[1]
+
+
+def test_a_population_takes_no_arrays_of_other_sizes_or_that_cannot_be_written() -> None:
+    shape, config = SHAPES[0], EvolutionConfig(population=9)
+    arrays = [np.zeros((9, shape.weights), np.float32), np.zeros((9, shape.units), np.uint8), np.zeros(9, np.float32)]
+    numbers = np.zeros(9)
+    for place, wrong in ((0, arrays[0][1:]), (1, arrays[1][:, 1:].copy()), (0, arrays[0].astype(np.float64))):
+        given = tuple(wrong if place == number else array for number, array in enumerate(arrays))
+        with pytest.raises(ValueError, match=r"sizes|expected"):
+            Population(shape, config, given, numbers, numbers.copy())
+    arrays[0].setflags(write=False)
+    with pytest.raises(ValueError, match="written"):
+        Population(shape, config, tuple(arrays), numbers, numbers.copy())
 
 
 def test_each_part_is_taken_once_until_there_will_be_no_more() -> None:

@@ -42,7 +42,10 @@ def network_of(shape: Shape, genome: NDArray[Any]) -> Network:
 
 
 class Measure:
-    """Errors of genomes on one memory, inputs (n, inputs) and targets (n, outputs), by the compiled kernel."""
+    """Errors of genomes on one memory, inputs (n, inputs) and targets (n, outputs), by the compiled kernel.
+
+    For one thread at a time.
+    """
 
     def __init__(self, shape: Shape, inputs: Floats, targets: Floats) -> None:
         for what, rows, columns in (("inputs", inputs, shape.inputs), ("targets", targets, shape.outputs)):

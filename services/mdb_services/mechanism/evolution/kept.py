@@ -21,8 +21,8 @@ _SUM = 4
 class Kept:
     """Code under a name, which tells from what it was made; in the first of several folders that can be had.
 
-    They are that of the variable NUMBA_CACHE_DIR, or else the one where Python keeps this file compiled, and one at
-    home.
+    They are that of the variable NUMBA_CACHE_DIR, or else one beside this file, where Python keeps such things, and
+    one at home.
     """
 
     def __init__(self, name: str) -> None:
@@ -38,7 +38,7 @@ class Kept:
         for place in self.places:
             with suppress(OSError):
                 kept = place.read_bytes()
-                if kept[:_SUM] == _sum(kept[_SUM:]):
+                if len(kept) > _SUM and kept[:_SUM] == _sum(kept[_SUM:]):
                     return kept[_SUM:]
         return None
 

@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
@@ -10,9 +11,19 @@ import llvmlite.binding as llvm  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
-PROCESSOR = os.environ.get("NUMBA_CPU_NAME") or llvm.get_host_cpu_name()
-FEATURES = os.environ.get("NUMBA_CPU_FEATURES", llvm.get_host_cpu_features().flatten())
-"""What is compiled for; the variables are those of numba, which must emit the same."""
+
+def _features(processor: str) -> str:
+    """Return what a processor can do: of the machine's own LLVM knows it, of the "generic" one nothing is assumed."""
+    if (given := os.environ.get("NUMBA_CPU_FEATURES")) is not None:
+        return given
+    with suppress(RuntimeError):  # LLVM cannot tell it of this machine
+        return "" if processor == "generic" else str(llvm.get_host_cpu_features().flatten())
+    return ""
+
+
+PROCESSOR: str = os.environ.get("NUMBA_CPU_NAME") or llvm.get_host_cpu_name()
+FEATURES = _features(PROCESSOR)
+"""What is compiled for; the variables are numba's."""
 
 WIDE = "+avx512f" in FEATURES
 """Whether the processor has AVX-512."""

@@ -3,6 +3,8 @@
 Who finds it kept needs neither numba nor the 50 MB that it takes: only LLVM, which links it.
 """
 
+from __future__ import annotations
+
 import ctypes
 import zlib
 from importlib.metadata import version
@@ -49,6 +51,10 @@ class Table(Generic[_Arrays]):
         self.arrays, self._words = arrays, np.array(words, np.int64)
         self.address: int = self._words.ctypes.data
 
+    def __reduce__(self) -> tuple[type[Table[_Arrays]], tuple[_Arrays]]:
+        """Have a copy made of the copied arrays: their addresses are others."""
+        return type(self), (self.arrays,)
+
 
 _loaded: list[Any] = []
 """The function, and the engine that owns its memory."""
@@ -94,7 +100,10 @@ def _machine() -> Any:
 
 def _name() -> str:
     """Return a name that is another one when the code would be."""
-    files = b"".join(file.read_bytes() for file in sorted([_HERE / "layout.py", *(_HERE / "compiled").glob("*.py")]))
+    files = b"".join(
+        file.read_bytes()
+        for file in sorted([_HERE / "layout.py", Path(__file__), *(_HERE / "compiled").glob("*.py")])
+    )
     made_by = f"{version('numba')} {llvm.llvm_version_info} {PROCESSOR} {FEATURES}"
     return f"evolution-{zlib.crc32(files):08x}{zlib.crc32(made_by.encode()):08x}.code"
 

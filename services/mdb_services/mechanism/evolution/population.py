@@ -46,14 +46,14 @@ class Population:
         sizes = [(count, shape.weights), (count, shape.units), (count,), (count,)]
         if [array.shape for array in (*individuals, fitness)] != sizes:
             raise ValueError(f"arrays of other sizes than those of {count} individuals of {shape}: {sizes}")
+        if not all(array.flags.writeable for array in (*individuals, errors, fitness)):
+            raise ValueError("an array cannot be written to; expected some that can: copy it")
         self._shape, self._count = shape, count
         self._elite, self._all_weights = config.elite, count * shape.weights
         parents = max(1, round(config.parent_share * count))
         immigrants = min(count - config.elite, round(config.immigrant_share * count))
         weights, promoters, steps = individuals
-        self._board = new_board()
         self._numbers = np.array(Numbers(0, 0, 0, count, config.elite, parents, immigrants))
-        self._key = self._numbers[:1].view(np.uint64)
         self._task = native.Table(
             Evolved(
                 weights,
@@ -68,7 +68,7 @@ class Population:
                 sizes=np.array(shape.sizes, np.int64),
                 numbers=self._numbers,
                 rates=np.array([getattr(config, name) for name in Rates._fields]),
-                board=self._board,
+                board=new_board(),
             )
         )
         self._spaces = self._new_spaces()
@@ -87,14 +87,17 @@ class Population:
         """
         if helpers is None:
             helpers = threads.idle() if self._all_weights * pairs.arrays.count[0] >= MUCH else 0
-        self._key[0] = key
-        self._numbers[1:4] = generations.start, len(generations), PART if helpers else self._count
-        self._board[:] = 0
+        signed = key - 2**64 if key >= 2**63 else key
+        self._numbers[:4] = signed, generations.start, len(generations), PART if helpers else self._count
         native.load()
-        others = [(native.run, self._task, pairs, self._new_spaces(), HELP) for _ in range(helpers)]
-        helping = [helper for other in others for helper in threads.helping(1, *other)]
+        # A board of its own: nobody who helped before can take part in this.
+        task, board = self._task.arrays, new_board()
+        table, helping = native.Table(task._replace(board=board)) if helpers else self._task, []
+        task.board[:] = 0
         try:
-            native.run(self._task, pairs, self._spaces, EVOLVE)
+            for _ in range(helpers):
+                helping += threads.helping(1, native.run, table, pairs, self._new_spaces(), HELP)
+            native.run(table, pairs, self._spaces, EVOLVE)
         finally:
-            self._board[PUT_UP] = -1
+            board[PUT_UP] = -1
             threads.finish(helping)

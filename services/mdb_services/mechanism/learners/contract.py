@@ -65,9 +65,9 @@ class Learner(ABC):
     unmeasured: ClassVar[tuple[str, ...]] = ()
     """Those that may hold infinity: what was not yet measured."""
     lists: ClassVar[tuple[str, ...]] = ()
+    """Those that may have any number of rows."""
     compiled: ClassVar[bool] = False
     """Whether `_learn` is nearly all compiled code, without Python's lock."""
-    """Those that may have any number of rows."""
 
     def __init__(self, shape: Shape, generations: int, seed: int, name: str) -> None:
         """Take the shape, the generations (or steps) of one call of `learn`, and the stream (seed, name)."""
@@ -111,7 +111,7 @@ class Learner(ABC):
         missing = sorted(own.keys() - state.keys())
         if missing:
             raise ValueError(f"state lacks {', '.join(map(repr, missing))}: it is not of this learner, start afresh")
-        given = {name: np.array(state[name]) for name in own}
+        given = {name: np.array(state[name], order="C") for name in own}
         for name, array in given.items():
             self._check_array(name, array, own[name])
         self._check_state(given)

@@ -3,10 +3,14 @@
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-from numba import njit
+from numba import config, njit
 from numba.extending import intrinsic
 
+from mdb_services.mechanism.evolution.layout import FEATURES, PROCESSOR
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+config.CPU_NAME, config.CPU_FEATURES = PROCESSOR, FEATURES  # type: ignore[attr-defined] # read at the first compiling
 
 # Sums may be reordered into vectors and fused; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}

@@ -147,9 +147,10 @@ def _emit_signals(builder: Any, layer: _Layer, units: Sequence[Any], block: Any,
             weight = weight_of(builder, row, sender)
             for vector, total in zip(received, own, strict=True):
                 builder.store(multiply_add(builder, weight, vector, builder.load(total)), total)
-    flat = [builder.load(total) for own in sums for total in own]
-    flat = [signal for pair in range(0, len(flat), 2) for signal in _tanh(builder, flat[pair : pair + 2])]
-    return [flat[start : start + vectors] for start in range(0, len(flat), vectors)]
+    loaded = [[builder.load(total) for total in own] for own in sums]
+    # Two of one unit together: else a genome's bits would depend on how many units the others of its group have.
+    pairs = range(0, vectors, 2)
+    return [[signal for pair in pairs for signal in _tanh(builder, own[pair : pair + 2])] for own in loaded]
 
 
 def _emit_sending(builder: Any, layer: _Layer, units: Sequence[Any], signals: Sequence[Sequence[Any]]) -> None:
