@@ -25,6 +25,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Kept:
 
 def python(code: str, bound_s: float = 110.0, **variables: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": ":".join(filter(None, sys.path))} | variables
+    environment.pop("PYTEST_DISABLE_PLUGIN_AUTOLOAD", None)  # `mdb test` names its own
     command = [sys.executable, "-c", code]
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=bound_s, check=False)
 
@@ -87,5 +88,5 @@ def test_on_processors_with_narrower_vectors_all_is_the_same(processor: str, tmp
     words = ["-q", "-p", "no:cacheprovider", "-k", "kernel or threads", *files]
     code = f"import sys, pytest; sys.exit(pytest.main({words}))"
     done = python(code, 280.0, **variables)
-    assert done.returncode == 0, done.stdout
+    assert done.returncode == 0, done.stdout + done.stderr
     assert [path.suffix for path in tmp_path.iterdir() if path.suffix == ".code"] == [".code"]
