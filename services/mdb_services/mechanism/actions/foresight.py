@@ -15,12 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdb_services.mechanism.networks.encoding import Codebook, Facts, with_changes
+from mdb_services.mechanism.networks.gaps import squared_gaps
 from mdb_services.mechanism.networks.network import Floats, Network
 
-AT_ONCE = 10_000
-"""Numbers that are compared in one go: more of them do not stay in the processor's cache."""
-FEW = 8
-"""Fewer inputs are added one after the other, which is faster; numpy adds more of them in another order."""
 GOOD_ERROR = 0.05
 """Mean squared, in scaled units: what a model has that has learnt well from a teacher who never errs (ours)."""
 
@@ -139,20 +136,7 @@ def foresee(mode: Mode, models: Models, facts: Facts, tried: Facts) -> Foreseen 
 
 def nearness(rows: Floats, support: Floats, reach: float) -> NDArray[np.float64]:
     """Return how near each row (m, inputs) is to each pair, inputs (n, inputs): 1 at the pair, less beyond (m, n)."""
-    return np.exp(-_gaps(rows, support).astype(np.float64) / reach**2)
-
-
-def _gaps(rows: Floats, support: Floats) -> Floats:
-    """Return the squared distances (m, n) of rows (m, inputs) to pairs (n, inputs)."""
-    if 0 < support.shape[1] < FEW:
-        gaps = np.zeros((len(rows), len(support)), np.float32)
-        for own, its in zip(rows.T, np.ascontiguousarray(support.T), strict=True):
-            gap = its - own[:, None]
-            gaps += np.square(gap, out=gap)
-        return gaps
-    some = max(1, AT_ONCE // max(support.size, 1))
-    parts = (rows[first : first + some, None] for first in range(0, len(rows), some))
-    return np.concatenate([np.add.reduce(np.square(support - part), axis=2) for part in parts])
+    return np.exp(-squared_gaps(rows, support).astype(np.float64) / reach**2)
 
 
 def shortfall(mode: Mode, models: Models, errors: Mapping[str, float]) -> float:

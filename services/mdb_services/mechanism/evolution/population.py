@@ -88,7 +88,9 @@ class Population:
         if helpers is None:
             helpers = threads.idle() if self._all_weights * pairs.arrays.count[0] >= MUCH else 0
         signed = key - 2**64 if key >= 2**63 else key
-        self._numbers[:4] = signed, generations.start, len(generations), PART if helpers else self._count
+        numbers = self._numbers  # one by one: of a few, that is the fastest way
+        numbers[0], numbers[1], numbers[2] = signed, generations.start, len(generations)
+        numbers[3] = PART if helpers else self._count
         native.load()
         # A board of its own: nobody who helped before can take part in this.
         task, board = self._task.arrays, new_board()

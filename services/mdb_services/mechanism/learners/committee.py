@@ -50,12 +50,12 @@ class Committee(Learner):
         """How long each member took for the last memory."""
 
     def _learn(self, memory: Memory, key: int, generations: range) -> None:
-        lessons = [partial(self._teach, place, memory, key, generations) for place in range(len(self._members))]
+        places = range(len(self._members))
         if self._members[0].compiled and sum(self._took_s) > WORTH_S:
-            together(lessons)
+            together(partial(self._teach, place, memory, key, generations) for place in places)
         else:
-            for lesson in lessons:
-                lesson()
+            for place in places:
+                self._teach(place, memory, key, generations)
         if not len(self._waiting):
             return
         limit = error_of(Network(self._mean()), memory.inputs, memory.targets)

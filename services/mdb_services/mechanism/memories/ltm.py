@@ -14,8 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mdb_services.mechanism.networks.gaps import squared_gaps
 from mdb_services.mechanism.networks.network import Floats, Network
 from mdb_services.mechanism.settings import at_least, positive
+
+ALL = 1000
+"""Of no more rows than this all distances are computed at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,11 +108,11 @@ def sample_of(inputs: Floats, count: int) -> NDArray[np.intp]:
     """
     if len(inputs) <= count:
         return np.arange(len(inputs))
-    gaps = np.full(len(inputs), np.inf)
-    chosen = [0]
+    gaps, chosen = np.full(len(inputs), np.inf), [0]
+    apart = squared_gaps(inputs, inputs) if len(inputs) <= ALL else None
     while len(chosen) < count:
-        apart = np.add.reduce(np.square(inputs - inputs[chosen[-1]]), axis=1)
-        np.minimum(gaps, apart, out=gaps)
+        last = inputs[chosen[-1] : chosen[-1] + 1]
+        np.minimum(gaps, squared_gaps(last, inputs)[0] if apart is None else apart[chosen[-1]], out=gaps)
         gaps[chosen[-1]] = -1.0
         chosen.append(int(gaps.argmax()))
     return np.sort(np.array(chosen, dtype=np.intp))
